@@ -14,7 +14,10 @@ from alight.compiled import kernel
 
 @kernel
 def sum_information(own: F64, V: F64, b: F64, weight: F64, A: F64, total: F64) -> None:
-    """Write the weighted sums over the features of A (6K, 6K), and of b into `total` (6K,)."""
+    """Write the weighted sum of the constraints of all features: matrix `A` (6K, 6K) and right side `total` (6K,).
+
+    `own`, `V` and `b` are the fields A, V and b of a `PoseConstraint`.
+    """
     n, k = b.shape[:2]
     rows, diagonal = np.zeros((6 * k, 3 * n)), np.zeros((k, 6, 6))
     total[:] = 0.0
@@ -43,7 +46,10 @@ def sum_information(own: F64, V: F64, b: F64, weight: F64, A: F64, total: F64) -
 
 @kernel
 def misfits_at(own: F64, V: F64, b: F64, misfit: F64, error: F64, out: F64) -> None:
-    """Write the (N,) squared residual of each feature if the poses move by (6K,) errors and its point follows."""
+    """Write the (N,) squared residuals if `error` (6K,) is added to the poses and each point follows.
+
+    `own`, `V`, `b` and `misfit` are the fields A, V, b and misfit of a `PoseConstraint`.
+    """
     n, k = b.shape[:2]
     for f in range(n):
         out[f] = misfit[f]
@@ -75,7 +81,10 @@ def _observing(own: F64, poses: I64) -> int:
 
 @kernel
 def pose_distances(own: F64, V: F64, b: F64, misfit: F64, P: F64, out: F64) -> None:
-    """Write the (N,) squared Mahalanobis distance of each feature, given the (6K, 6K) covariance `P` of the poses."""
+    """Write the (N,) squared Mahalanobis distance of each feature, given the (6K, 6K) covariance `P` of the poses.
+
+    `own`, `V`, `b` and `misfit` are the fields A, V, b and misfit of a `PoseConstraint`.
+    """
     n, k = b.shape[:2]
     poses = np.empty(k, np.int64)
     for f in range(n):
@@ -104,13 +113,14 @@ def pose_distances(own: F64, V: F64, b: F64, misfit: F64, P: F64, out: F64) -> N
 
 @kernel
 def solve_pivoted(L: F64, pivots: I64, b: F64, residual: F64, rows: F64) -> None:
-    """Write residual and rows of unit noise from the factor of a Cholesky decomposition with pivots.
+    """Write a residual and rows of unit noise with the information L L', b (see `points.unit_noise_rows`).
 
     Args:
-        L: (n, n) lower factor of the matrix, whose rows and columns are in the order of the pivots.
-        pivots: (n,) from 1, as LAPACK counts.
-        b: (n,) right side.
-        residual: (m,) out, L residual = b. rows: (m, n) zero on input, out: L' in the order of the unknowns.
+        L: (n, n) lower Cholesky factor of the matrix, whose rows and columns are in the order of the pivots.
+        pivots: (n,) order of the unknowns, numbered from 1 as in LAPACK.
+        b: (n,) right side, in the order of the unknowns.
+        residual: (m,) out, solution of L residual = b.
+        rows: (m, n) zero on input, out: L' in the order of the unknowns.
     """
     for r in range(len(residual)):
         value = b[pivots[r] - 1]

@@ -35,22 +35,21 @@ class Step:
 def propagate(
     here: Step, rate: F64, m: Preintegral | None, dt: float, noise: FilterSettings, first: Step | None = None
 ) -> tuple[Step, F64, F64]:
-    """Propagate by `dt` seconds; return the new pose and velocity, the (15, 15) transition, and its noise covariance.
-
-    The noise excludes the random walk of the biases; see `add_bias_walk`.
+    """Propagate by `dt` s; return pose and velocity, transition (15, 15), and noise covariance without `add_bias_walk`.
 
     Args:
+        here: pose and velocity before the step.
         rate: (3,) angular velocity, rad/s; used only without an IMU.
         m: inertial measurements over `dt`; None: without IMU.
-        first: the state as predicted, before it was corrected; None: `here`. With these first-estimates Jacobians
-            (Huang et al. 2008) the transitions of successive steps multiply to that of one long step, and yaw and
-            position stay unobservable to the cameras.
+        noise: settings of the noise.
+        first: first estimate of `here`, at which Jacobians are taken, so that yaw and position stay unobservable to the
+            cameras (Huang et al. 2008); None: `here`.
     """
     return _constant(here, rate, dt, noise) if m is None else _inertial(here, m, first or here)
 
 
 def _inertial(here: Step, m: Preintegral, first: Step) -> tuple[Step, F64, F64]:
-    """Propagate by preintegrated inertial measurements (M8; Forster et al. 2017)."""
+    """Propagate by the preintegrated inertial measurements `m` (M8; Forster et al. 2017)."""
     dt = m.dt
     after = Step(
         here.R @ m.rotation,
@@ -65,7 +64,7 @@ def _inertial(here: Step, m: Preintegral, first: Step) -> tuple[Step, F64, F64]:
 
 
 def _constant(here: Step, rate: F64, dt: float, noise: FilterSettings) -> tuple[Step, F64, F64]:
-    """Propagate at constant velocity and angular velocity, driven by white accelerations (M9, the paper's model)."""
+    """Propagate at constant velocity and angular velocity `rate`, with white accelerations as noise (M9)."""
     turn = so3_exp(rate * dt)
     F, Q = np.eye(_SHAPE[0]), np.zeros(_SHAPE)
     F[AT.pos, AT.vel] = np.eye(3) * dt
@@ -81,7 +80,10 @@ def _constant(here: Step, rate: F64, dt: float, noise: FilterSettings) -> tuple[
 
 
 def _add_white_noise(Q: F64, value: slice, rate: slice, rotation: F64, density: float, dt: float) -> None:
-    """Set the covariance of a value and its rate after `dt`, for white noise of `density` on the rate's derivative."""
+    """Set the covariance of a value and its rate after `dt` s, for white noise of `density` on the rate's derivative.
+
+    `value` and `rate` are their rows in `Q`; `rotation` is from the axes of the rate to those of the value.
+    """
     eye = np.eye(3)
     Q[value, value], Q[rate, rate] = eye * (density * dt**3 / 3.0), eye * (density * dt)
     Q[value, rate] = rotation * (density * dt**2 / 2.0)
@@ -96,7 +98,7 @@ def add_bias_walk(Q: F64, dt: float, noise: FilterSettings) -> None:
 
 
 def nav_decay(dt: float, sigma: F64, noise: FilterSettings) -> tuple[F64, F64]:
-    """Return the (9,) decay and (9,) added variance over `dt` seconds of GPS/INS errors (first-order Gauss-Markov)."""
+    """Return decay (9,) and added variance (9,) of slow GPS/INS errors of 1-sigma `sigma` (9,) over `dt` seconds."""
     tau = np.repeat([noise.nav_position_tau, noise.nav_attitude_tau, noise.nav_velocity_tau], 3)
     a = np.exp(-dt / tau)
     return a, (1.0 - a**2) * sigma**2

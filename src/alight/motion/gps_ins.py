@@ -32,7 +32,7 @@ class Quantity(IntEnum):
 
     @property
     def state(self) -> slice:
-        """Rows of the state that the quantity measures."""
+        """Rows of the core that the quantity measures."""
         return (AT.pos, AT.att, AT.vel, AT.gyro)[self]
 
     def of(self, sample: NavSample) -> F64 | None:
@@ -50,12 +50,12 @@ class NavMeasurement:
 
     quantity: Quantity
     residual: F64  # (3,)
-    H: F64  # (3, CORE) Jacobian by the errors of the core
+    H: F64  # (3, CORE) Jacobian with respect to the errors of the core
     variance: F64  # (3,) of the white noise
 
 
 def sigmas(sample: NavSample, noise: FilterSettings) -> F64:
-    """Return the (9,) 1-sigma of position, attitude (in world axes) and velocity; defaults without a valid sigma."""
+    """Return the (9,) 1-sigma of position, attitude (in world axes) and velocity; defaults where the row gives none."""
     position = _valid_or(sample.sigma_position, noise.position_sigma)
     attitude = _valid_or(sample.sigma_attitude, noise.attitude_sigma)
     if sample.world_from_body is not None:  # roll, pitch, yaw are about the axes of the body
@@ -69,16 +69,16 @@ def _valid_or(sigma: F64 | None, default: float) -> F64:
 
 
 def whites(sigma: F64, noise: FilterSettings) -> F64:
-    """Return the (9,) 1-sigma of the white errors, at most the whole `sigma` (RTK is better than the setting)."""
+    """Return the (9,) 1-sigma of the white part of the GPS/INS errors, whose total 1-sigma is `sigma` (9,)."""
     white = np.repeat([noise.nav_position_white, noise.nav_attitude_white, noise.nav_velocity_white], 3)
     return np.asarray(np.minimum(white, sigma))
 
 
 def initial_state(sample: NavSample, sigma: F64, noise: FilterSettings) -> FilterState | None:
-    """Create the first state from a row with position and attitude; None if the row lacks one of them.
+    """Create the first state from a GPS/INS row of 1-sigma `sigma` (9,); None if it lacks position or attitude.
 
     The position is exact in a map frame of its own (M14b), whose offset from the world is a state. Cameras cannot
-    observe the first error of GPS; as an error of the position it would only disturb the poses.
+    observe the initial error of GPS; as an error of the position it would only disturb the poses.
     """
     if sample.position_world is None or sample.world_from_body is None:
         return None
@@ -105,9 +105,9 @@ def initial_state(sample: NavSample, sigma: F64, noise: FilterSettings) -> Filte
 def measurements(
     state: FilterState, sample: NavSample, sigma: F64, noise: FilterSettings, inertial: bool
 ) -> list[NavMeasurement]:
-    """Return the linearised position (M14), attitude (M15) and velocity (M16), each if the row holds it.
+    """Return the linearised position (M14), attitude (M15) and velocity (M16), each if the row `sample` holds it.
 
-    Unless an IMU drives the motion (`inertial`), the angular velocity is included.
+    Unless an IMU drives the motion (`inertial`), the angular velocity is included. `sigma` (9,) is the row's 1-sigma.
     """
     core, R, out = state.core, sample.world_from_body, list[NavMeasurement]()
 

@@ -9,7 +9,7 @@ from alight.motion.rotation_kernels import exponential, multiply
 
 @kernel
 def _rates_at(times: I64, rates: F64, t_ns: int, out: F64) -> None:
-    """Interpolate the rates (M, 6) linearly at `t_ns`; beyond the ends they are constant."""
+    """Interpolate the rates (M, 6) linearly at `t_ns`; before and after all samples, the nearest one is used."""
     i = int(np.searchsorted(times, t_ns, side="right"))
     a, b = max(i - 1, 0), min(i, len(times) - 1)
     f = 0.0
@@ -21,7 +21,7 @@ def _rates_at(times: I64, rates: F64, t_ns: int, out: F64) -> None:
 
 @kernel
 def cut_segments(times: I64, rates: F64, start_ns: int, end_ns: int, dt: F64, mean: F64) -> int:
-    """Cut [start, end] at the samples; write length (s) and mean rates of each segment; return their number."""
+    """Cut [start, end] at the samples; write length (s) and mean rates per segment; return the number of segments."""
     first = int(np.searchsorted(times, start_ns, side="right"))
     last = int(np.searchsorted(times, end_ns, side="right"))
     here, there = np.empty(6), np.empty(6)
@@ -42,7 +42,7 @@ def cut_segments(times: I64, rates: F64, start_ns: int, end_ns: int, dt: F64, me
 
 @kernel
 def _carry_rows(A_rr: F64, A_vr: F64, t: float, X: F64, out: F64) -> None:
-    """Write A X, with X (9, n) and the transition A of (rotation, velocity, position) over a segment of `t` s."""
+    """Write A X for X (9, n), with the transition A of (rotation, velocity, position) over `t` s (`A_rr`, `A_vr`)."""
     for i in range(3):
         for j in range(X.shape[1]):
             r = A_rr[i, 0] * X[0, j] + A_rr[i, 1] * X[1, j] + A_rr[i, 2] * X[2, j]
@@ -53,7 +53,7 @@ def _carry_rows(A_rr: F64, A_vr: F64, t: float, X: F64, out: F64) -> None:
 
 @kernel
 def _turned_force(middle: F64, a: F64, t: float, out: F64) -> None:
-    """Write -middle [a]x t: the derivative of a segment's change of velocity by the attitude at its middle."""
+    """Write -middle [a]x t, the derivative of a segment's velocity change with respect to its attitude; `a`: force."""
     for i in range(3):
         x, y, z = middle[i, 0], middle[i, 1], middle[i, 2]
         out[i, 0], out[i, 1] = -t * (y * a[2] - z * a[1]), -t * (z * a[0] - x * a[2])
@@ -62,7 +62,10 @@ def _turned_force(middle: F64, a: F64, t: float, out: F64) -> None:
 
 @kernel
 def _by_rates(force: F64, middle: F64, w: F64, t: float, B: F64) -> None:
-    """Write the (9, 6) derivative of the errors after a segment by its angular rate and specific force."""
+    """Write the (9, 6) derivative of the errors after a segment with respect to its angular rate and specific force.
+
+    `force` is from `_turned_force`, `middle` the attitude at its middle, `w` its angular rate, `t` its length, s.
+    """
     B[:] = 0.0
     x, y, z = w[0] * t, w[1] * t, w[2] * t
     W = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -78,11 +81,11 @@ def _by_rates(force: F64, middle: F64, w: F64, t: float, B: F64) -> None:
 def preintegrate_segments(
     dt: F64, mean: F64, bias: F64, variance: F64, R: F64, v: F64, p: F64, J: F64, C: F64
 ) -> float:
-    """Integrate N segments by the midpoint rule (M4), with bias Jacobian (M5) and covariance (M6); return the time.
+    """Integrate N segments by the midpoint rule (M4), with bias Jacobian (M5) and covariance (M6); return the time, s.
 
     Args:
         dt: (N,) length of each segment, s.
-        mean: (N, 6) mean rates, rad/s and m/s^2.
+        mean: (N, 6) mean angular velocity, rad/s, and specific force, m/s^2.
         bias: (6,) bias of the gyro and of the accelerometer.
         variance: (N, 2) variance of the mean angular rate and of the mean specific force.
         R, v, p: (3, 3), (3,), (3,) out: rotation, velocity and position in the earlier frame.
@@ -141,7 +144,7 @@ def inertial_transition_into(
         moved, speed_up: (3,) change of position and velocity, without initial velocity and gravity.
         dt: length of the step, s.
         J, C: (9, 6), (9, 9) bias Jacobian and covariance of the preintegral.
-        F, Q: (15, 15) out.
+        F, Q: (15, 15) out, transition and noise covariance.
     """
     F[:], Q[:] = np.eye(15), 0.0
     _minus_skew(moved[0], moved[1], moved[2], F[3:6, 0:3])

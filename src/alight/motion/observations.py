@@ -26,10 +26,7 @@ def positions(ascending: I64, ids: I64) -> I64:
 
 
 def observation_sigma(tracks: Tracks, camera: Camera, noise: FilterSettings) -> F64:
-    """Return the (N,) 1-sigma of normalised coordinates (M13): stronger texture makes the SSD minimum sharper.
-
-    It is proportional to 1 / sqrt(texture), which follows measured tracking errors (docs/method/tracks.md).
-    """
+    """Return the (N,) 1-sigma of the features' normalised coordinates, proportional to 1 / sqrt(texture) (M13)."""
     texture = np.full(len(tracks.ids), noise.texture_reference) if tracks.texture is None else tracks.texture
     relative = np.sqrt(noise.texture_reference / np.maximum(texture, 1e-9))
     return np.asarray(np.clip(relative, 0.5, 4.0) * (noise.pixel_sigma / camera.fu))
@@ -45,7 +42,7 @@ class WindowObservations:
 
     @classmethod
     def empty(cls, cameras: int) -> WindowObservations:
-        """Return a window without features and without poses."""
+        """Return a window without features and poses, for a number of `cameras`."""
         return cls(np.empty(0, np.int64), np.empty((0, 0, cameras, 2)), np.empty((0, 0)))
 
     @property
@@ -65,7 +62,7 @@ class WindowObservations:
         return replace(self, normalised=normalised, sigma=sigma)
 
     def with_pose(self, ids: I64, normalised: F64, sigma: F64) -> WindowObservations:
-        """Append a pose and its observations: known features keep their row, new features are appended.
+        """Return the observations with one more pose; features that are known keep their row, new ones are appended.
 
         Args:
             ids: (M,) ids of the features observed at the pose, ascending.
@@ -104,7 +101,7 @@ class Clones:
         return len(self.stamps)
 
     def with_pose(self, t_ns: int, R: F64, p: F64) -> Clones:
-        """Return these clones and, as the newest, the pose (3, 3), (3,) of the rig stamped `t_ns`."""
+        """Return the clones and, as the newest, the pose `R` (3, 3), `p` (3,) of the rig stamped `t_ns`."""
         pairs = ((self.R, R), (self.p, p), (self.first_R, R), (self.first_p, p))
         return Clones((*self.stamps, t_ns), *(np.concatenate([old, new[None]]) for old, new in pairs))
 
@@ -115,7 +112,7 @@ class Clones:
         return Clones(tuple(self.stamps[i] for i in at), *arrays)
 
     def moved(self, error: F64) -> Clones:
-        """Return the clones with (6K,) errors added, (rotation [rad], position [m]) each; first estimates stay."""
+        """Return the clones with `error` (6K,) added, (rotation [rad], position [m]) each; first estimates stay."""
         R, p = np.empty_like(self.R), np.empty_like(self.p)
         move_poses(self.R, self.p, error, R, p)
         return replace(self, R=R, p=p)

@@ -14,7 +14,7 @@ MIN_DEPTH = 1e-3  # m; replaces smaller depths in Jacobians, so that they stay f
 
 @inline
 def invert(A: F64, least: float, root: F64, inverse: F64) -> None:
-    """Write the inverse of a symmetric positive definite `A` (3, 3), and an upper `root` with root root' = inverse.
+    """Write the inverse of a positive definite `A` (3, 3), and an upper triangular `root` with root root' = inverse.
 
     Pivots below `least` are rounding errors and are set to `least`.
     """
@@ -43,7 +43,7 @@ def to_camera(R: F64, origin: F64, x: F64, q: F64) -> None:
 
 @inline
 def _add_ray(u: F64, o: F64, weight: float, A: F64, y: F64) -> None:
-    """Add a unit ray `u` from `o` to the equations A x = y of the point nearest to all rays."""
+    """Add a ray from `o` in unit direction `u` to the equations A x = y of the point nearest to weighted rays."""
     along = u[0] * o[0] + u[1] * o[1] + u[2] * o[2]
     for i in range(3):
         y[i] += weight * (o[i] - u[i] * along)
@@ -74,7 +74,7 @@ def _times_root(W: F64, root: F64) -> None:
 def nearest_point(
     ray: F64, origin: F64, weight: F64, first: int, end: int, least: float, room: F64, y: F64, out: F64
 ) -> None:
-    """Write the point (3,) nearest to the weighted rays `first` to `end` (midpoint method).
+    """Write the point (3,) nearest to the weighted rays `first` to `end` - 1, of unit length (midpoint method).
 
     `least` is added to the diagonal of the equations; `room` (3, 3, 3) and `y` (3,) are scratch.
     """
@@ -106,9 +106,10 @@ def eliminate_list(
 
     Args:
         starts: (N + 1,) first observation of each point, then M.
-        residual, by_pose, by_point: (M, 2), (M, 2, 6), (M, 2, 3) residuals and Jacobians, in sigmas.
-        regular: added to the diagonal of a point's block.
-        coupling: (M, 6, 3) out: by_pose' by_point times the root of the point's covariance.
+        residual, by_pose, by_point: (M, 2), (M, 2, 6), (M, 2, 3) residuals, and Jacobians with respect to pose and
+            point, in sigmas.
+        regular: constant added to the diagonal of a point's block.
+        coupling: (M, 6, 3) out: by_pose' by_point root.
         gradient: (N, 3) out: right side of the points.
         root, inverse: (N, 3, 3) out: root of the covariance of the points for exact poses, and that covariance.
     """
@@ -146,7 +147,7 @@ def _nearest(normalised: F64, R: F64, origin: F64, regular: float, A: F64, y: F6
 def _linearise_point(
     normalised: F64, sigma: F64, R: F64, origin: F64, near: float, x: F64, q: F64, A: F64, y: F64
 ) -> None:
-    """Add the normal equations of one feature's point at `x` to A and y; only the lower half of A."""
+    """Add the observations of one feature, linearised at its point `x`, to its normal equations A (lower half), y."""
     for k in range(normalised.shape[0]):
         for c in range(normalised.shape[1]):
             if not np.isfinite(normalised[k, c, 0]):
@@ -182,8 +183,9 @@ def triangulate_tracks(
     Args:
         normalised, sigma: as in `WindowObservations`.
         R, origin: (K, C, 3, 3), (K, C, 3) world_from_cam.
-        near: m along the optical axis; observations of nearer points are left out.
-        regular: 1/m^2, added to the diagonal.
+        iterations: number of Gauss-Newton steps.
+        near: least depth along the optical axis, m; observations of nearer points are left out.
+        regular: constant added to the diagonal of a point's equations, 1/m^2.
     """
     A, root, inverse, y, q = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     for n in range(normalised.shape[0]):
@@ -209,9 +211,9 @@ def marginalise_tracks(
     R: F64, origin: F64, first_R: F64, first_origin: F64, first_p: F64, near: float, regular: float,
     own: F64, coupling: F64, b: F64, misfit: F64, freedom: I64, root: F64, inverse: F64, step: F64,
 ) -> None:  # fmt: skip
-    """Linearise observations about N points, residuals at the estimates, Jacobians at the first estimates (M21).
+    """Eliminate the points of N features from linearised observations; write the fields of `PoseConstraint` (M21).
 
-    The points are then eliminated, and the fields of `PoseConstraint` are filled: A (`own`), V (`coupling`) and so on.
+    Residuals are taken at the estimates, Jacobians at the first estimates. `own` and `coupling` are the fields A and V.
     The inputs are as in `triangulate_tracks`, with the points `x` (N, 3) and the first estimates of the cameras
     (`first_R`, `first_origin`) and of the rig (`first_p` (K, 3)).
     """

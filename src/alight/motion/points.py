@@ -60,12 +60,12 @@ def triangulate_rays(starts: I64, rays: F64, origins: F64, weight: F64) -> F64:
 class PoseConstraint:
     """Constraint of N features on the errors d of K poses, with the points eliminated.
 
-    The cost of one feature is d'A d - 2 b'd + misfit. The error of a pose is ordered (rotation, position).
+    The cost of one feature is d'(A - V V') d - 2 b'd + misfit. The error of a pose is ordered (rotation, position).
     """
 
     x: F64  # (N, 3) m, points about which the observations were linearised
-    A: F64  # (N, K, 6, 6): the block diagonal of A before elimination
-    V: F64  # (N, K, 6, 3): A of a feature is its block diagonal less V V'
+    A: F64  # (N, K, 6, 6), block-diagonal matrix before elimination
+    V: F64  # (N, K, 6, 3), coupling of the poses with the point
     b: F64  # (N, K, 6)
     misfit: F64  # (N,) squared residual that remains at the best point
     freedom: I64  # (N,) degrees of freedom: rows less three
@@ -78,25 +78,25 @@ class PoseConstraint:
         return PoseConstraint(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def well_known(self, centre: F64, share: float) -> Mask:
-        """Return (N,) whether the largest 1-sigma of a point is below `share` of its distance from `centre`."""
+        """Return a mask (N,) of points whose largest 1-sigma is below `share` of their distance from `centre` (3,)."""
         variance = np.empty(len(self.x))
         largest_eigenvalues(self.point_covariance, variance)
         return np.asarray(np.sqrt(variance) < share * np.linalg.norm(self.x - centre, axis=1))
 
     def point_by_poses(self) -> F64:
-        """Return the negated derivative (N, 3, 6K) of the best points by the errors of the poses."""
+        """Return the negated derivative (N, 3, 6K) of the best points with respect to the errors of the poses."""
         n = len(self.V)
         return np.asarray((self.V @ self.root[:, None].transpose(0, 1, 3, 2)).reshape(n, -1, 3).transpose(0, 2, 1))
 
     def information(self, weight: F64) -> tuple[F64, F64]:
-        """Return the weighted sums over the features of A (6K, 6K) and b (6K,), given weights (N,)."""
+        """Return the matrix (6K, 6K) and right side (6K,) of the poses, summed over all features with weights (N,)."""
         size = 6 * self.b.shape[1]
         A, b = np.empty((size, size)), np.empty(size)
         sum_information(self.A, self.V, self.b, weight, A, b)
         return A, b
 
     def misfit_at(self, error: F64) -> F64:
-        """Return the (N,) squared residual of each feature if the poses move by (6K,) errors and its point follows."""
+        """Return the (N,) squared residuals if `error` (6K,) is added to the poses and each point follows."""
         out = np.empty(len(self.b))
         misfits_at(self.A, self.V, self.b, self.misfit, error, out)
         return out
@@ -104,7 +104,7 @@ class PoseConstraint:
     def mahalanobis(self, P: F64) -> F64:
         """Return the (N,) squared Mahalanobis distance of each feature, given the (6K, 6K) covariance `P` of the poses.
 
-        All distances are infinite if `P` is so far out of range that it has no inverse: then no feature passes a gate.
+        All distances are infinite if the equations have no solution; then no feature passes a gate.
         """
         out = np.empty(len(self.b))
         try:
@@ -117,11 +117,8 @@ class PoseConstraint:
 def marginalise_points(
     observations: WindowObservations, clones: Clones, cams: Sequence[Pose], points: F64 | None = None
 ) -> PoseConstraint:
-    """Linearise observations about `points` (N, 3), by default the triangulated points, and eliminate the points (M21).
-
-    Residuals are taken at the estimates and Jacobians at the first estimates, so that yaw and position stay
-    unobservable (first-estimates Jacobian, Huang et al. 2008).
-    """
+    """Eliminate the points of observations linearised about `points` (N, 3), by default triangulated points (M21)."""
+    # Jacobians are taken at the first estimates, so that yaw and position stay unobservable (Huang et al. 2008)
     n, k = observations.sigma.shape
     x = triangulate_window(observations, clones, cams) if points is None else points
     shapes = (n, k, 6, 6), (n, k, 6, 3), (n, k, 6), (n,), (n, 3, 3), (n, 3, 3), (n, 3)
@@ -136,11 +133,8 @@ def marginalise_points(
 
 
 def unit_noise_rows(A: F64, b: F64) -> tuple[F64, F64]:
-    """Return a residual (m,) and rows (m, n) of unit noise that hold the information `A` (n, n) and `b` (n,).
-
-    Cholesky with pivots, which takes a tenth of the time of eigenvectors. Information below 1e-10 of the largest is
-    treated as a rounding error.
-    """
+    """Return a measurement of unit noise, residual (m,) and rows (m, n), with the information `A` (n, n), `b` (n,)."""
+    # Cholesky with pivots takes a tenth of the time of eigenvectors; 1e-10 of the largest pivot is a rounding error
     R, pivots, rank, _ = dpstrf(A, tol=1e-10 * max(float(A.diagonal().max()), 1e-300))
     residual, rows = np.empty(rank), np.zeros((rank, len(b)))
     solve_pivoted(R.T, pivots.astype(np.int64), b, residual, rows)

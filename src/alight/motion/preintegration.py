@@ -24,12 +24,12 @@ OPEN_RATE_SIGMA, _OPEN_RATE_TAU = 0.5, 0.25  # rad/s, s: unmeasured angular velo
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """N pieces of time between samples, with the mean rates of each piece."""
+    """N segments of time between samples, with the mean rates of each segment."""
 
     dt: F64  # (N,) s
-    rates: F64  # (N, 6) rad/s, m/s^2
+    rates: F64  # (N, 6) angular velocity, rad/s, and specific force, m/s^2
     interval: F64  # (N,) s between the samples on both sides; with one sample only: from it to the far end
-    since: F64  # (N,) s from the sample before it to its end; before all samples: from its begin to the first
+    since: F64  # (N,) s from the sample before the segment to its end; before all samples: from its begin to the first
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Preintegral:
     rotation: F64  # (3, 3) earlier_from_later
     velocity: F64  # (3,) m/s in the earlier body frame, without gravity
     position: F64  # (3,) m in the earlier body frame, without gravity
-    bias_jacobian: F64  # (9, 6) of the errors by (gyro, accelerometer) bias
+    bias_jacobian: F64  # (9, 6) of the errors with respect to the (gyro, accelerometer) bias
     covariance: F64  # (9, 9)
     bias: F64  # (6,) bias of gyro [rad/s] and accelerometer [m/s^2] at which it was integrated
 
@@ -55,10 +55,10 @@ def right_jacobian(phi: F64) -> F64:
 
 
 def segments(imu: ImuBuffer, start_ns: int, end_ns: int) -> Segments:
-    """Cut [start, end] at the samples; each segment has the mean of its ends, outside all samples the nearest rates.
+    """Cut the time from `start_ns` to `end_ns` at the samples; each segment has the mean of the rates at its ends.
 
-    Outside all samples, the nearest angular velocity holds for 0.2 s only: held for 1.7 s, in gusts, it turned the
-    state by 40 degrees.
+    Outside all samples, the nearest rates hold; the angular velocity only for 0.2 s, because a longer hold in gusts
+    turned the state by 40 degrees.
     """
     n = len(imu) + 1
     dt, rates = np.empty(n), np.empty((n, 6))
@@ -78,7 +78,7 @@ def segments(imu: ImuBuffer, start_ns: int, end_ns: int) -> Segments:
 
 
 def _held(away_ns: int, length_ns: int) -> float:
-    """Return the share of a gap of `length_ns`, `away_ns` from a sample, in which the rate of that sample holds."""
+    """Return the share of a gap of `length_ns`, `away_ns` from a sample, in which the rate of that sample is held."""
     return min(max(_HELD_NS - away_ns, 0) / length_ns, 1.0)
 
 
@@ -94,7 +94,7 @@ def _samples_about(imu: ImuBuffer, begin_ns: int, end_ns: int) -> tuple[float, f
 def preintegrate(imu: ImuBuffer, start_ns: int, end_ns: int, bias: F64, noise: FilterSettings) -> Preintegral:
     """Integrate from `start_ns` to `end_ns` by the midpoint rule (M4), with bias Jacobian (M5) and covariance (M6).
 
-    `bias` (6,): gyro [rad/s], then accelerometer [m/s^2].
+    `bias` (6,) is that of the gyro [rad/s], then of the accelerometer [m/s^2].
     """
     parts, bias = segments(imu, start_ns, end_ns), bias.copy()
     R, v, p, J, C = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((9, 6)), np.empty((9, 9))
@@ -112,11 +112,8 @@ def corrected(m: Preintegral, bias: F64) -> Preintegral:
 
 
 def _variance(parts: Segments, noise: FilterSettings) -> F64:
-    """Return the (N, 2) variance of the mean rates of each piece: density**2 / dt [(rad/s)^2, (m/s^2)^2].
-
-    In a gap, the angular velocity drifts from the last sample on as in the constant-velocity model, until it has its
-    largest variance. Until then, the rotation has that model's variance however the gap is cut (M6b).
-    """
+    """Return the (N, 2) variance of the mean rates of each segment, (rad/s)^2 and (m/s^2)^2 (M6b)."""
+    # in a gap, the angular velocity drifts as in the constant-velocity model, until it has its largest variance
     dt, since = parts.dt, parts.since
     out = np.empty((len(dt), 2))
     gap = parts.interval > _MAX_SAMPLE_INTERVAL

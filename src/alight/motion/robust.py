@@ -30,7 +30,7 @@ def median_of(values: F64) -> float:
 
 
 def median_residual(misfit: F64) -> float:
-    """Return the median of N squared residuals per row, at least 0.001; 1 if N is 0."""
+    """Return the median of (N,) squared residuals, each divided by its rows; at least 0.001, and 1 if N is 0."""
     return max(median_of(misfit), 1e-3) if len(misfit) else 1.0  # simulated features may have no residual at all
 
 
@@ -43,13 +43,12 @@ def robust_weights(misfit: F64, median: float) -> F64:
 def robust_pose_weights(constraint: PoseConstraint, P: F64, used: Mask, error: F64) -> tuple[F64, float]:
     """Return the (N,) weights of features in one update of the poses, and their median residual.
 
-    Iteratively reweighted least squares: each feature is weighted by its residual after the update.
-
     Args:
         P: (6K, 6K) covariance of the poses before the update.
         used: (N,) whether a feature takes part; the others get weight zero.
         error: (6K,) errors by which the poses have moved from the mean of the prior.
     """
+    # iteratively reweighted least squares: each feature is weighted by its residual after the update
     weight, freedom, step, median = used.astype(float), np.maximum(constraint.freedom, 1), np.zeros(len(P)), 0.0
     for _ in range(3 if used.any() else 0):
         misfit = np.maximum(constraint.misfit_at(step), 0.0) / freedom

@@ -33,7 +33,7 @@ def multiply(a: F64, b: F64, out: F64) -> None:
 
 @kernel
 def move_poses(R: F64, p: F64, error: F64, moved_R: F64, moved_p: F64) -> None:
-    """Write K poses (K, 3, 3), (K, 3) after adding (6K,) errors, (rotation in the world, position) each."""
+    """Write K poses (K, 3, 3), (K, 3) after adding `error` (6K,), (rotation in the world, position) per pose."""
     turn = np.empty((3, 3))
     for k in range(R.shape[0]):
         e = error[6 * k : 6 * k + 6]
@@ -45,7 +45,7 @@ def move_poses(R: F64, p: F64, error: F64, moved_R: F64, moved_p: F64) -> None:
 
 @kernel
 def place_cameras(R: F64, p: F64, rotation: F64, translation: F64, out_R: F64, out_p: F64) -> None:
-    """Write world_from_cam of one camera (`out_R`, `out_p`) at the K poses world_from_rig (`R`, `p`) of its rig.
+    """Write world_from_cam of one camera (`out_R`, `out_p`) at K poses world_from_rig (`R`, `p`) of its rig.
 
     `rotation` (3, 3) and `translation` (3,) are rig_from_cam.
     """

@@ -32,10 +32,7 @@ LEAST_ACROSS = 64  # cells that the shorter side of a halved picture must cover:
 
 
 def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
-    """Return the median height of the sweeps of several reference views, with the cost ratio of the sweep chosen.
-
-    Of an even number of heights, the lower middle one is taken.
-    """
+    """Return, per cell, the height and cost ratio of the sweep whose height is the (lower) median of all sweeps."""
     heights = np.stack([s.height for s in sweeps])
     order = np.argsort(heights, axis=0)  # NaN last
     middle = np.maximum(np.isfinite(heights).sum(axis=0) - 1, 0) // 2
@@ -44,7 +41,7 @@ def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
 
 
 class Images:
-    """The views of one recording, prepared at their first use; the most recently used stay in memory. Thread-safe."""
+    """Thread-safe store of the views of one recording, each prepared for matching at its first use."""
 
     def __init__(self, views: Sequence[View], cell: float, height: float | F64, most_bytes: int = MOST_BYTES) -> None:
         self.views = views
@@ -55,13 +52,13 @@ class Images:
         self._lock = Lock()
 
     def of(self, views: Sequence[View], heights: F64) -> Images:
-        """Return images of other views, with (N,) ground heights in metres, that share this store of prepared views."""
+        """Return a store of other `views`, with ground `heights` (N,), metres; both stores share the prepared views."""
         other = copy(self)
         other.views, other.heights = views, heights
         return other
 
     def get(self, index: int, halved: int = 0) -> Prepared:
-        """Return view `index`, prepared for the cell size, with its picture halved `halved` times."""
+        """Return view `index`, prepared for the cell size, with its resolution halved `halved` times."""
         key = self.views[index].key
         with self._lock:
             if key not in self._ready:
@@ -77,7 +74,7 @@ class Images:
 
 @dataclass(frozen=True, eq=False)
 class MatchedBlock:
-    """Heights, and the indices of the views that they were matched with."""
+    """Heights of a grid, and the (N,) indices of the views from which they were matched."""
 
     heights: Heights
     chosen: I64
@@ -92,7 +89,7 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
         low, high: range of heights to search, metres above the origin.
 
     Returns:
-        The heights with their views; None if fewer than two views see the grid, or if no height was found.
+        The heights and the indices of their views; None if fewer than two views see the grid, or no height was found.
     """
     plan = settings.sweep
     chosen = choose_views(images.views, grid, 0.5 * (low + high), settings.views, plan.max_tangent)
@@ -126,7 +123,7 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
 
 
 def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, tuning: ConsistencyTuning) -> U16:
-    """Return MOVING flags (R, C) from pairs of synchronous views of which at least one was chosen."""
+    """Return (R, C) MOVING flags from pairs of synchronous views; each pair contains one of the views `chosen`."""
     pairs = witness.instants(images.views)
     some = pairs[np.isin(pairs, chosen).any(axis=1)]
     some = some[np.unique(np.linspace(0, len(some) - 1, min(tuning.pairs, len(some))).astype(int))]
@@ -137,7 +134,10 @@ def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, tuning: Consi
 
 
 def colour(views: list[View], fine: list[Prepared], fit: refine.Fit, visible: U8) -> U8:
-    """Return the colour (R, C, 3) of each cell with a height, from the steepest view that sees it."""
+    """Return the colours (R, C, 3) of the cells, each from the steepest view that sees it; black if none does.
+
+    `views` and `fine` are the same N views. `visible` (N, R / 2, C / 2) is 0 where the map hides a cell from a view.
+    """
     grid, height = fit.grid, fit.height
     out = np.zeros((*grid.shape, 3), np.uint8)
     xs, ys = grid.xy()

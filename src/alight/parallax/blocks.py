@@ -34,17 +34,17 @@ SWEPT_AT_START = 2  # factor by which a step may sweep more then
 
 @dataclass(frozen=True)
 class Effort:
-    """Limits of the work of a step: a row of `EFFORTS`."""
+    """Limits of the work of one step."""
 
-    share: float  # share of the cells and of the sweeping of a full step
-    rigs: int  # n: all cameras of every n-th exposure, from the newest on; of others one per rig
+    share: float  # share of a full step's limits on refined cells and on sweeping
+    rigs: int  # n: every n-th exposure, back from the newest, uses all its cameras; the others use one per rig
 
 
 EFFORTS = (Effort(1.0, 1), Effort(0.6, 3), Effort(0.4, 3), Effort(0.25, 3))  # full, ..., least
 
 
 class Rectangle(NamedTuple):
-    """Rectangle of blocks; `bottom` and `right` are exclusive."""
+    """Rectangle of rows and columns of blocks; `bottom` and `right` are exclusive."""
 
     top: int
     left: int
@@ -53,12 +53,12 @@ class Rectangle(NamedTuple):
 
     @property
     def blocks(self) -> int:
-        """Number of blocks."""
+        """Number of blocks in the rectangle."""
         return (self.bottom - self.top) * (self.right - self.left)
 
 
 class Counts(NamedTuple):
-    """Number of sampled cells of each kind in every block, (block rows, block columns)."""
+    """Number of sampled cells of each kind per block; arrays are (block rows, block columns)."""
 
     fresh: F32  # cells to sweep, seen over a sufficient baseline
     waiting: F32  # cells to sweep once they are seen over a longer baseline
@@ -66,15 +66,15 @@ class Counts(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """The rectangles that one step sweeps and refines."""
+    """Rectangles, in rows and columns of the window, that one step sweeps and refines."""
 
     sweep: list[Box]  # rectangles whose new cells are swept
-    rough: list[Box]  # rectangles swept at half the resolution: a full sweep would exceed a step's limit
+    rough: list[Box]  # rectangles swept at half the resolution, because a full sweep would exceed the limit
     refine: list[Box]  # rectangles to refine: disjoint, and covering all swept ones
 
 
 class Blocks:
-    """The blocks of the map's raster under a window, and the history of the work on each block."""
+    """Blocks of the map's raster that overlap the present window, with the history of the work on each block."""
 
     def __init__(self, tuning: RecursiveTuning) -> None:
         self._tuning, self._step = tuning, 0
@@ -87,12 +87,12 @@ class Blocks:
         self.forget(sharper=False)
 
     def forget(self, sharper: bool) -> None:
-        """Mark all blocks as new; if the cells became smaller (`sharper`), unvisited blocks have coarse colours."""
+        """Mark all blocks as new. `sharper`: whether the cells became smaller, so that old colours are too coarse."""
         self._count, self._last, self._since = (np.zeros((0, 0), np.int64) for _ in range(3))
         self.recolour = sharper  # blocks that were never visited have coarse colours
 
     def begin_anew(self) -> None:
-        """Mark all blocks as new and the map as beginning."""
+        """Mark all blocks as new, and set `begins`, as for a new map."""
         self.forget(self.recolour)
         self.begins = True
 
@@ -109,7 +109,7 @@ class Blocks:
         self._first, self._shape, self._cell = first, grid.shape, grid.cell
 
     def counted(self, kinds: NDArray[np.bool_], every: int) -> Counts:
-        """Return the sums over each block of three masks (3, R / every, C / every) of sampled cells."""
+        """Return the number of samples per block in three masks `kinds` (3, R / every, C / every)."""
         edges = zip(kinds.shape[1:], self._offset, self._count.shape, strict=True)
         rows, cols = (_members(n, every, int(at), blocks) for n, at, blocks in edges)
         return Counts(*(rows @ kinds.astype(np.float32) @ cols.T))
@@ -120,8 +120,8 @@ class Blocks:
         Args:
             counts: sampled cells of each block.
             below: row and column of the window under the newest view.
-            layers: samples per swept cell: planes times views.
-            reach: cells that rays cross beyond a block, per cell of its distance from `below`.
+            layers: number of samples per swept cell (planes times views).
+            reach: number of cells beyond a block that its rays cross, per cell of the block's distance from `below`.
             effort: limits of the work.
         """
         middle = [SIDE * (np.arange(n) + 0.5) - at for n, at in zip(self._count.shape, self._offset, strict=True)]
@@ -142,7 +142,7 @@ class Blocks:
         return Plan(*([self._box(b) for b in boxes] for boxes in (fine, rough, refined)))
 
     def _to_sweep(self, counts: Counts, costs: F64, most: float, effort: Effort) -> Mask:
-        """Return the blocks to sweep now: the longest waiting of those due, within the step's budget of sweeping."""
+        """Return a mask of the blocks to sweep: of those due, the longest waiting, within the limits of the step."""
         some = counts.fresh >= ENOUGH
         self._since = np.where(some, np.where(self._since == NEVER, self._step, self._since), NEVER)
         many = counts.fresh >= np.maximum(counts.waiting, PART * (counts.fresh + counts.waiting + counts.known))
@@ -154,9 +154,10 @@ class Blocks:
         return _within(order, ready, np.maximum(costs / budget, SIDE**2 / most), 1.0)
 
     def _to_refine(self, counts: Counts, away: F64, swept: Mask, watched: Mask, most: float) -> list[Rectangle]:
-        """Return rectangles about swept and watched blocks, then about blocks that have waited long enough.
+        """Return rectangles around the `swept` and `watched` blocks, then around those that have waited long enough.
 
-        The rectangles hold up to `most` cells; watched blocks come on top of this limit.
+        The more often a block was refined, the more steps it waits. `away` is its distance, in cells, from the point
+        below the newest view. The rectangles hold up to `most` cells, not counting blocks that are only watched.
         """
         wait, known = np.clip(self._count / self._tuning.pace, 1.0, self._tuning.longest_wait), counts.known >= LEAST
         urgency = np.where(known, np.minimum((self._step - self._last) / wait, MOST_URGENT), 0.0)
@@ -169,11 +170,11 @@ class Blocks:
         return r, c
 
     def never_visited(self, box: Box) -> bool:
-        """Whether a rectangle contains a block that was never refined."""
+        """Whether a rectangle of the window contains a block that was never refined."""
         return bool((self._last[self._inside(box)] == NEVER).any())
 
     def visited(self, box: Box, known: Mask, changed: Mask, every: int) -> None:
-        """Record that a rectangle was refined; blocks with many changed cells are refined again soon.
+        """Record that a rectangle of the window was refined; blocks with many changed cells count as new again.
 
         Args:
             known: mask of sampled cells, `every` cells apart, that had a height before.
@@ -193,7 +194,7 @@ class Blocks:
 
 
 def _moved(old: I64, by: I64, shape: I64, empty: int) -> I64:
-    """Copy a raster of blocks to one that begins `by` blocks further and has another shape; fill with `empty`."""
+    """Return the part of the raster `old` that begins at row and column `by` and has `shape`; `empty` outside `old`."""
     out = np.full(shape, empty, np.int64)
     low = np.maximum(by, 0)
     size = np.maximum(np.minimum(by + shape, old.shape) - low, 0)
@@ -203,13 +204,13 @@ def _moved(old: I64, by: I64, shape: I64, empty: int) -> I64:
 
 
 def _members(count: int, every: int, first: int, blocks: int) -> F32:
-    """Return a matrix (blocks, count): 1 where a sample lies in a block. Samples are `every` cells apart."""
+    """Return a (blocks, count) matrix: 1 where block i holds sample k, which lies at cell `first` + k `every`."""
     at = (first + every // 2 + every * np.arange(count)) // SIDE
     return np.asarray(at[None, :] == np.arange(blocks)[:, None], np.float32)
 
 
 def _within(order: I64, wanted: Mask, costs: F64, budget: float) -> Mask:
-    """Return the first `wanted` blocks in an order whose total cost is within the budget, but at least one block."""
+    """Return a mask of the `wanted` blocks that come first in `order` and cost up to `budget` in all; at least one."""
     ranked = order[wanted.ravel()[order]]
     spent = np.cumsum(costs.ravel()[ranked])
     out = np.zeros(wanted.size, np.bool_)
@@ -218,10 +219,10 @@ def _within(order: I64, wanted: Mask, costs: F64, budget: float) -> Mask:
 
 
 def cover(urgency: F64, away: F64, most: float) -> list[Rectangle]:
-    """Cover the blocks with an urgency of 1 or more by rectangles of up to `most` cells in total, most urgent first.
+    """Return rectangles that cover the blocks with an urgency of 1 or more, the most urgent first.
 
-    Blocks with an urgency above `MOST_URGENT` are covered in any case. `away` is the distance of each block from the
-    point below the newest view.
+    Blocks above `MOST_URGENT` are covered even beyond `most`, the largest number of cells in all rectangles. `away` is
+    the distance of each block from the point below the newest view.
     """
     urgency, out = urgency.copy(), list[Rectangle]()
     while (top := urgency.max(initial=0.0)) > MOST_URGENT or (top >= 1.0 and most >= DEAR + SIDE**2):
@@ -233,9 +234,9 @@ def cover(urgency: F64, away: F64, most: float) -> list[Rectangle]:
 
 
 def grown(urgency: F64, away: F64, most: float) -> Rectangle:
-    """Grow a rectangle of up to `most` blocks from the most urgent, nearest block while its rim is urgent too.
+    """Return a rectangle of up to `most` blocks, grown from the most urgent block while its rim is urgent as well.
 
-    Few large rectangles cost less than many small ones, and blocks refined together become urgent together again.
+    Of several most urgent blocks, it starts from the nearest; `away` is the distance of each block.
     """
     total = np.zeros((urgency.shape[0] + 1, urgency.shape[1] + 1))
     total[1:, 1:] = urgency.cumsum(axis=0).cumsum(axis=1)
@@ -258,7 +259,7 @@ def grown(urgency: F64, away: F64, most: float) -> Rectangle:
 
 
 def _mean(sums: list[list[float]], of: Rectangle) -> float:
-    """Return the mean over a rectangle, from sums over all blocks above and to the left; -1 outside the raster."""
+    """Return the mean over the rectangle `of` from the summed-area table `sums`; -1 outside the raster."""
     top, left, bottom, right = of
     if min(top, left) < 0 or bottom >= len(sums) or right >= len(sums[0]):
         return -1.0

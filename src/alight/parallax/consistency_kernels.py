@@ -37,9 +37,14 @@ def _fold_row(sums: F32, block: int, out: F32) -> None:
 def common(samples: F32, pairs: I64, mean: F32, block: int, cut: float, out: F32) -> None:
     """Fill `out` (5, R / block, C / block), rounded up, with sums over blocks of cells.
 
-    The deviations e of the `samples` (N, R, C) from the template `mean` are taken over the `pairs` (K, 2). Rows 0 to 2
-    of `out` are e_i e_j, (e_i^2 + e_j^2) / 2, and the number of cells where both are known and below `cut`. Rows 3 and
-    4 are the squared template and the number of cells where it is known.
+    Rows 0 to 2 are sums over all pairs (i, j) of views: of e_i e_j, of (e_i^2 + e_j^2) / 2, and of 1, where e is the
+    deviation of a sample from the template `mean` (R, C). Deviations that are unknown or reach `cut` are left out. Rows
+    3 and 4 are sums of the squared template and of 1, where the template is known.
+
+    Args:
+        samples: (N, R, C) normalised grey of the views.
+        pairs: (K, 2) indices of the views of each pair.
+        block: side of a block, cells.
     """
     rows, cols = mean.shape
     for k in prange(out.shape[1]):
@@ -56,14 +61,16 @@ def common(samples: F32, pairs: I64, mean: F32, block: int, cut: float, out: F32
 
 @parallel_kernel
 def before_and_after(samples: F32, pairs: I64, block: int, least: int, between: F32, whole: F32, count: F32) -> None:
-    """Compare the samples (N, R, C) before and after each moment, by sums over blocks of cells.
+    """Compare the views before and after each moment between successive pairs of views, by sums over blocks of cells.
 
-    v is the mean of the two samples of a pair; `pairs` (K, 2) are in order of time. Cells that fewer than 2 `least`
-    pairs see are left out. There are R / `block` x C / `block` blocks, rounded up.
+    The value v of a pair is the mean of its two samples. Cells that fewer than 2 `least` pairs see are left out.
 
     Args:
-        between: (K - 1, ...) out, n n' / (n + n') (mean of the n v before - mean of the n' v after)^2, 0 where n or n'
-            is less than `least`.
+        samples: (N, R, C) normalised grey of the views.
+        pairs: (K, 2) indices of the views of each pair, in order of time.
+        block: side of a block, cells; there are R / `block` x C / `block` blocks, rounded up.
+        between: (K - 1, ...) out, sums of n n' / (n + n') (m - m')^2, with the numbers n, n' and the means m, m' of the
+            values before and after the moment; 0 where n or n' is less than `least`.
         whole: out, sum of squares of v about its mean over all times.
         count: out, number of v.
     """

@@ -26,30 +26,30 @@ SLOPE_CELLS = 1.5  # sigma of the Gaussian over which the slope of the map is ta
 
 
 class Matched(NamedTuple):
-    """A tile, and the views that its heights were matched with, without their pictures."""
+    """Tile of the map, and the views from which its heights were matched; the views have no pictures."""
 
     grid: Grid
     views: tuple[View, ...]
 
     @classmethod
     def of(cls, grid: Grid, views: Sequence[View]) -> Matched:
-        """Return the record of a tile; the pictures of its views are removed."""
+        """Return the record of a tile, with the views stripped of their pictures."""
         return cls(grid, tuple(v.without_image for v in views))
 
     def holds(self, east: F64, north: F64) -> Mask:
-        """Return which positions (metres east and north) lie in the tile."""
+        """Return a mask of the positions, metres east and north, that lie in the tile."""
         row, col = self.grid.index(east, north)
         inside = (row >= -0.5) & (row < self.grid.rows - 0.5) & (col >= -0.5) & (col < self.grid.cols - 0.5)
         return np.asarray(inside)
 
 
 def with_datum(found: ElevationMap, matched: Sequence[Matched], joint: KeyframePosterior) -> ElevationMap:
-    """Return the map with its datum (offset and tilt of a plane) and its `warp` (the error that a plane leaves).
+    """Return the map with the errors from its poses added as `datum` (offset and tilt) and `warp` (the rest per cell).
 
     Args:
-        found: the map; it is returned unchanged where too little of it is known.
-        matched: the tiles from which it was matched; a later tile covers an earlier one.
-        joint: covariance of the poses of the recording, propagated to sampled cells of the map.
+        found: the map; it is returned unchanged if too little of it is known.
+        matched: tiles from which the map was made; a later tile covers an earlier one.
+        joint: joint posterior of the poses of the recording.
     """
     trusted, lattice = found.trusted, np.zeros(found.grid.shape, np.bool_)
     step = max(1, int(np.sqrt(trusted.sum() / SAMPLES)))
@@ -76,7 +76,7 @@ def with_datum(found: ElevationMap, matched: Sequence[Matched], joint: KeyframeP
 
 
 def steepness(found: ElevationMap) -> F32:
-    """Return the (R, C) rms slope of the map about each cell: metres of height error per metre of horizontal shift."""
+    """Return the (R, C) rms slope of the map around each cell, metres of height per metre of horizontal distance."""
 
     def blurred(values: F32) -> F32:
         return np.asarray(cv2.GaussianBlur(values, (0, 0), SLOPE_CELLS), dtype=np.float32)
@@ -89,7 +89,7 @@ def steepness(found: ElevationMap) -> F32:
 
 
 def _through(points: F64, matched: Sequence[Matched], joint: KeyframePosterior) -> F64:
-    """Return (S, 3, M) sensitivities of points, by the views of the last tile that holds each; NaN outside tiles."""
+    """Return the `sensitivity` (S, 3, M) of points, each with the views of the last tile that contains it; else NaN."""
     out = np.full((len(points), 3, len(joint.covariance)), np.nan)
     left = np.ones(len(points), dtype=bool)
     for tile in reversed(matched):
@@ -107,16 +107,15 @@ def _sigma(J: F64, covariance: F64) -> F64:
 
 
 def sensitivity(points: F64, views: Sequence[View], joint: KeyframePosterior) -> F64:
-    """Return the derivatives of matched points by the errors of the poses and of the lens.
+    """Return the derivatives of matched points with respect to the errors of the poses and of the lens.
 
-    The displacement of a point is the least-squares intersection of the displaced rays. Each ray is measured on the
-    ground, as in the matching: for view i with ray `r`, `T_i = [I | -r_xy / r_z]` and `dX = (sum T'T)^-1 sum T'T d_i`.
+    A point moves to the least-squares intersection of its rays. If errors move the ground that view i sees by `d_i`,
+    the point moves by `(sum T_i' T_i)^-1 sum T_i' T_i d_i`, where `T_i = [I | -r_xy / r_z]` with the ray `r` of view i.
 
     Args:
         points: (S, 3) ground points, metres.
         views: views with which the points were matched; their pictures are not used.
-        joint: K poses and L lens parameters with errors. Errors of exposures between two poses are interpolated in
-            time.
+        joint: K poses and L lens parameters with errors, interpolated in time for exposures between two poses.
 
     Returns:
         (S, 3, 6K + L), per metre, radian or unit of a lens parameter; NaN where fewer than two views see a point.
@@ -141,7 +140,7 @@ def sensitivity(points: F64, views: Sequence[View], joint: KeyframePosterior) ->
 
 
 def _carried(points: F64, body: F64) -> F64:
-    """Return the (S, 3, 6) derivatives of the ground by an error of a body pose, where pose + error is correct."""
+    """Return the (S, 3, 6) displacement of ground points per unit of (true - estimated) pose of the body at `body`."""
     out = np.zeros((len(points), 3, 6))
     out[:, :, :3] = -np.eye(3)
     out[:, :, 3:] = np.array([skew(p - body) for p in points])
@@ -149,7 +148,7 @@ def _carried(points: F64, body: F64) -> F64:
 
 
 def _bent(view: View, lens: Camera, points: F64, seen: Mask) -> F64:
-    """Return the (S, 3) displacement of ground points, metres, by a lens that is one unit off; 0 where unseen."""
+    """Return the (S, 3) displacement of ground points, metres, if the view's true lens is `lens`; 0 if not `seen`."""
     out = np.zeros(points.shape)
     in_cam = view.world_from_cam.inverse.apply(points[seen])
     true = lens.rays(view.camera.project(in_cam))
@@ -158,7 +157,7 @@ def _bent(view: View, lens: Camera, points: F64, seen: Mask) -> F64:
 
 
 def _shares(t_ns: int, joint: KeyframePosterior) -> list[tuple[int, float]]:
-    """Return the indices of the poses in `joint` whose errors an exposure at `t_ns` has, each with its share."""
+    """Return (index, weight) of the poses in `joint` whose errors are interpolated linearly to the time `t_ns`."""
     times = np.array([m.t_ns for m in joint.motions], np.int64)
     k = int(np.searchsorted(times, t_ns))
     if k == len(times):

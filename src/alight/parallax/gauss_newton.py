@@ -27,7 +27,7 @@ LOWEST = np.float32(-1e4)  # metres, replaces an unknown height
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Heights of a grid, and the statistics of the last Gauss-Newton step; all arrays are (R, C)."""
+    """Heights of a grid, with statistics of the last Gauss-Newton step; all arrays are (R, C)."""
 
     grid: Grid
     height: F32
@@ -36,11 +36,11 @@ class Fit:
     mean: F32  # template m (eq. 8), normalised grey
     used: U8  # number of views that agree with the template
     seen: U8  # number of views that see the cell
-    metres_per_px: F32  # parallax pixel, metres: moves the outermost of these views apart by one cell
+    metres_per_px: F32  # parallax pixel, metres: height that moves the outermost of these views apart by one cell
 
 
 def median_height(height: F32, none: float = 0.0) -> float:
-    """Return the approximate median of the known heights, metres (an exact one is slow); `none` if all are NaN."""
+    """Return the median of a sample of the known heights, metres; `none` if all heights are NaN."""
     for every in (8, 1):
         some = height[::every, ::every]
         some = some[np.isfinite(some)]
@@ -51,19 +51,19 @@ def median_height(height: F32, none: float = 0.0) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ViewGeometry:
-    """Geometry of the views that see each cell, (R, C); constant over blocks of `SEEN_BLOCK` cells a side."""
+    """Geometry of the views that see each cell; (R, C) arrays, constant over blocks of `SEEN_BLOCK` cells a side."""
 
     baseline: F32  # metres between the outermost views that see the cell
     count: U8  # number of views that see the cell
-    metres_per_px: F32  # parallax pixel, metres: moves the outermost views apart by one cell (eq. 3b)
-    sampling: F32  # metres of ground per sample: second smallest pixel of these views, at least the cell
+    metres_per_px: F32  # parallax pixel, metres: height that moves these views apart by one cell (eq. 3b)
+    sampling: F32  # metres of ground per pixel of the second finest of these views, at least the cell size
     views: Mask  # (N, R / SEEN_BLOCK, C / SEEN_BLOCK), rounded up: whether each view sees the block
 
 
 def view_geometry(prepared: list[Prepared], grid: Grid, height: F32, ground: float) -> ViewGeometry:
-    """Compute the geometry of all views for the ground heights `height` (R, C), metres, block by block.
+    """Return the geometry of the views over heights `height` (R, C), metres; unknown ones are set to the median.
 
-    Unknown heights are replaced by the median height, or by `ground` (metres) if all heights are unknown.
+    If all heights are unknown, the height `ground` (metres) replaces them.
     """
     wide = grid.coarser(SEEN_BLOCK)
     k = min(SEEN_BLOCK // 2, *(n - 1 for n in grid.shape))
@@ -87,11 +87,11 @@ def view_geometry(prepared: list[Prepared], grid: Grid, height: F32, ground: flo
 
 @dataclass(frozen=True, eq=False)
 class Skyline:
-    """A height map at half resolution, used to test whether the map blocks the rays to the cameras."""
+    """Height map at half resolution, used to test whether the map blocks the rays to the cameras."""
 
     grid: Grid  # its cells are 2 x 2 cells of the map
     solid: F32  # (R / 2, C / 2) metres, without single spikes; NaN = unknown
-    tops: F32  # metres, highest within reach of the rays from each block of `BLOCK` x `BLOCK` cells
+    tops: F32  # metres, highest that a ray from each block of `BLOCK` x `BLOCK` cells to a camera can meet
 
     @classmethod
     def of(cls, height: F32, grid: Grid, centres: F64) -> Skyline:
@@ -104,13 +104,13 @@ class Skyline:
         return cls(wide, solid, tops)
 
     def visible(self, centres: F64, where: Box, metres_per_px: F32, rise_px: float) -> U8:
-        """Return which cameras see a part of the map (eq. 13), (N, R / 2, C / 2): 1 visible, 0 hidden.
+        """Return a raster (N, R / 2, C / 2) of a part of the map: 1 where camera i sees the map, 0 where not (eq. 13).
 
         A cell is hidden where the map rises more than `rise_px` parallax pixels above the ray to the camera.
 
         Args:
             centres: (N, 3) camera centres, metres.
-            where: rows and columns of the part of the map, starting at even ones.
+            where: rows and columns of the part of the map; both start at an even number.
             metres_per_px: (R, C) parallax pixel of that part, metres.
         """
         margin = np.ascontiguousarray(np.float32(rise_px) * metres_per_px[::2, ::2])
@@ -123,7 +123,7 @@ class Skyline:
 
 
 def _tops(solid: F32, grid: Grid, centres: F64) -> F32:
-    """Return, for each block of cells, the highest height within reach of its rays to the cameras, metres."""
+    """Return, per block of cells, the highest height (metres) that a ray from the block to a camera can meet."""
     tops = np.empty(tuple(-(-n // BLOCK) for n in grid.shape), np.float32)
     visibility_kernels.block_tops(solid, BLOCK, LOWEST, tops)
     high = float(tops.max())
@@ -147,12 +147,18 @@ def gauss_newton(
     tuning: RefinementTuning,
     buffers: Buffers | None = None,
 ) -> Fit:
-    """Refine `height` (R, C) so that the views agree in every window; unknown heights (NaN) stay NaN.
+    """Refine heights so that the views agree in every window of cells (docs/method/parallax.md).
 
-    `visible` (N, R / 2, C / 2) is 0 where the map hides the ground from a view. Such views are left out of a cell
-    unless fewer than two others see it: then the map is wrong. The plane prior writes last in each iteration. The
-    statistics of the fit are those at the start of the last iteration. With `buffers`, the fit is valid until they are
-    used again.
+    Args:
+        prepared: N views.
+        height: (R, C) initial heights, metres; NaN stays NaN.
+        metres_per_px: (R, C) parallax pixel, metres.
+        visible: (N, R / 2, C / 2), rounded up: 0 where the map hides a cell from a view. That view is not used for the
+            cell, unless fewer than two views see it: then the map is wrong.
+        buffers: arrays to reuse; the fit is valid until they are used again.
+
+    Returns:
+        The heights after the last iteration, with the statistics of its start.
     """
     held = buffers or Buffers()
     shape, xs_ys = grid.shape, grid.xy()

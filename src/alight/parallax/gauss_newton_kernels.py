@@ -28,7 +28,7 @@ def _no_lone_row(seen: F32, median: F32) -> None:
 
 @pixelwise
 def _weigh(s: np.float32, median: np.float32, narrow: np.float32) -> Three:
-    """Return weight, weighted sample and count (1) of a sample that agrees with the median, else zeros."""
+    """Return (weight, weight times `s`, 1) of a sample `s`; zeros if `narrow` (s - median)^2 is 1 or more."""
     e = s - median
     share = ONE - narrow * e * e
     good = share > ZERO  # False for NaN
@@ -40,7 +40,8 @@ def _weigh(s: np.float32, median: np.float32, narrow: np.float32) -> Three:
 def _weigh_two_rows(
     s1: F32, s2: F32, median: F32, narrow: np.float32, w1: F32, w2: F32, sw: F32, sm: F32, used: F32
 ) -> None:
-    """Add two views at once: loading and storing the sums costs as much as adding one; `s2` may be all NaN."""
+    """Write the weights `w1`, `w2` of two rows of samples; add the results of `_weigh` to `sw`, `sm` and `used`."""
+    # two rows at once, because loading and storing the sums costs as much as adding a row
     for c in range(s1.size):
         a, am, one = _weigh(s1[c], median[c], narrow)
         b, bm, other = _weigh(s2[c], median[c], narrow)
@@ -61,7 +62,7 @@ def _template_row(
     samples: F32, nothing: F32, r: int, pairs: I64, narrow: np.float32, views: F32, sm: F32, median: F32,
     weights: F32, sw: F32, mean: F32, used: F32, seen: F32,
 ) -> None:  # fmt: skip
-    """Compute one row of the template; `views` (N, C), `sm` and `median` are scratch, `nothing` is a row of NaN."""
+    # row `r` of the template; `views` (N, C), `sm` and `median` are scratch, `nothing` is a row of NaN
     n = samples.shape[0]
     sw[:], sm[:], used[:], seen[:] = ZERO, ZERO, ZERO, ZERO
     for i in range(n):
@@ -77,7 +78,7 @@ def _template_row(
 
 @parallel_kernel
 def template(samples: F32, pairs: I64, tau: float, weights: F32, mean: F32) -> None:
-    """Fill the weights (N, R, C) of the samples and their robust mean m (R, C) (eq. 8).
+    """Write the weights (N, R, C) of the samples and their robust mean, the template (R, C) (eq. 8).
 
     The weights are biweights about the median, zero beyond 4 `tau`. `pairs` is the sorting network of N values.
     """
@@ -102,7 +103,7 @@ def _gradient_row(m: F32, up: F32, down: F32, scale: np.float32, gx: F32, gy: F3
 
 @pixelwise
 def _share(s: np.float32, w: np.float32, m: np.float32, g: np.float32, drop: np.float32) -> Four:
-    """Return w q, w q^2, w q e, w e^2 of a sample; `g`: gradient times vector from the camera, `drop` m above it."""
+    """Return (w q, w q^2, w q e, w e^2) of a sample `s` of weight `w`, where e = `s` - `m` and q = `g` / `drop`."""
     used = w > ZERO
     q, e = (g / drop if used else ZERO), (s - m if used else ZERO)
     wq = w * q
@@ -114,7 +115,7 @@ def _sum_two_rows(
     s1: F32, s2: F32, w1: F32, w2: F32, m: F32, h: F32, gx: F32, gy: F32, place1: Three, place2: Three,
     cell: np.float32, sq: F32, sqq: F32, sqe: F32, see: F32,
 ) -> None:  # fmt: skip
-    """Add two views to the sums of w q, w q^2, w q e and w e^2; the sum of w e is zero, because m is the mean."""
+    """Add the rows of two views to the sums of w q, w q^2, w q e and w e^2; `place1` and `place2` are from `_place`."""
     for c in range(s1.size):
         k = np.float32(c) * cell
         a = _share(s1[c], w1[c], m[c], gx[c] * (place1[0] + k) + gy[c] * place1[1], place1[2] - h[c])
@@ -157,12 +158,18 @@ def normal_equations(
     samples: F32, pairs: I64, tau: float, centres: F64, xs: F64, ys: F64, h: F32, cell: float,
     mean: F32, used: U8, number: U8, lam: F32, eta: F32, s2: F32,
 ) -> None:  # fmt: skip
-    """Fill the template m (eq. 8), Lambda, eta (eqs. 9, 10) and the residual variance s^2 of every cell.
+    """Write the template m (eq. 8), Lambda, eta (eqs. 9, 10) and the residual variance s^2 of every cell.
 
-    q_i = grad m . v_i, with v_i = ((X, Y) - C_i,xy) / (C_i,z - h): the slide of view i's sample over the ground per
-    metre of height. The gradient is the template's, which lacks the noise of single views. `pairs` is the sorting
-    network of N values. `used` gets the number of views within 4 `tau` of the median, `number` that of views that see
-    the cell.
+    q_i = grad m . v_i is the change of view i's sample per metre of height, with v_i = ((X, Y) - C_i,xy) / (C_i,z - h).
+    The gradient of the template lacks the noise of single views.
+
+    Args:
+        samples: (N, R, C) normalised grey at the heights `h` (R, C), metres.
+        pairs: sorting network of N values.
+        tau: scale of the weights, see `template`.
+        centres: (N, 3) camera centres, metres.
+        mean, lam, eta, s2: (R, C) out, template, Lambda, eta, s^2.
+        used: (R, C) out, number of views within 4 `tau` of the median; number: (R, C) out, of views that see the cell.
     """
     n, rows, cols = samples.shape
     scale, narrow = np.float32(0.5 / cell), np.float32(1.0 / (16.0 * tau * tau))
@@ -218,7 +225,7 @@ def invert_row(x: F32, out: F32) -> None:
 
 @pixelwise
 def _tap(h: F32, lam: F32, eta: F32, s2: F32, i: int, here: np.float32, inverse: np.float32, sums: Four) -> Four:
-    """Add one neighbour: weight 1 at the same height, 0 from a difference of one parallax pixel (1 / `inverse`) on."""
+    """Add neighbour `i` to `sums`; its weight falls from 1 at the height `here` to 0 at `here` +- 1 / `inverse`."""
     d = (h[i] - here) * inverse
     share = ONE - d * d
     share = share if share > ZERO else ZERO
@@ -239,10 +246,8 @@ def _five(h: F32, lam: F32, eta: F32, s2: F32, i: int, here: np.float32, inverse
 
 @kernel
 def _window_row(h: F32, lam: F32, eta: F32, s2: F32, inverse: F32, sl: F32, se: F32, sn: F32, sw: F32) -> None:
-    """Sum over the 5 x 5 neighbours of each cell of a row, given rows of `STRIDE` from the upper left neighbour on.
-
-    Unrolled, unsigned and with a constant stride, it is three times as fast as a loop over the neighbours.
-    """
+    """Write weighted sums over the 5 x 5 neighbours of each cell; all inputs begin at the upper left neighbour."""
+    # rows of `STRIDE`. Unrolled, unsigned and with a constant stride, it is three times as fast as a loop
     for c in range(inverse.size):
         i, around = np.uintp(c), (ZERO, ZERO, ZERO, ZERO)
         here = h[i + np.uintp(2 * STRIDE + 2)]
@@ -272,11 +277,11 @@ def _step_row(sums: F32, h: F32, spread: F32, limit: float, step: F32, precision
 def solve_window(
     lam: F32, eta: F32, s2: F32, h: F32, spread: F32, limit: float, step: F32, precision: F32, noise: F32
 ) -> None:
-    """Sum the normal equations over 5 x 5 cells of similar height and fill the step, metres (eq. 11).
+    """Sum the normal equations over 5 x 5 cells of similar height and write the step, metres (eq. 11).
 
-    A neighbour has the weight (1 - (dh / spread)^2)^2, and 0 beyond `spread`: a window across a step uses only its own
-    side. `spread` is the parallax pixel, metres; `limit` is the largest step, parallax pixels. `precision` gets the
-    windowed Lambda, `noise` the windowed residual variance.
+    A neighbour whose height differs by dh has the weight (1 - (dh / spread)^2)^2, and 0 beyond `spread`. So a window
+    across a step uses only its own side. `spread` is the parallax pixel, metres; `limit` is the largest step, parallax
+    pixels. `precision` and `noise` get the windowed Lambda and residual variance.
     """
     rows, cols = h.shape
     for band in prange((rows + BAND - 1) // BAND):

@@ -36,7 +36,7 @@ COARSER = 1.5  # a view is not used if its pixel is larger than the finest view'
 
 
 def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> Box:
-    """Return rows and columns of a grid that a picture may show, if the ground lies between two heights, metres."""
+    """Return rows and columns of `grid` in a picture with border `rays`, for ground from `low` to `high`, metres."""
     everything = slice(0, grid.rows), slice(0, grid.cols)
     if centre[2] <= high or (rays[:, 2] > -FLAT * np.linalg.norm(rays, axis=1)).any():
         return everything
@@ -54,10 +54,10 @@ def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> Box:
 def _block(
     views: Sequence[View], rays: Sequence[F64], grid: Grid, height: F32, wants: Mask, count: int
 ) -> tuple[F32, F32, F32]:
-    """Return the mean colour of the `count` nearest views of every wanted pixel, with the views' exposures matched.
+    """Return the mean colour of the `count` finest views per wanted pixel, their number, and the finest pixel, metres.
 
-    Also return the number of views and the smallest pixel on the ground, metres. A view with much coarser pixels than
-    the finest view is not used. Only pixels that a view may show and that want another view are computed.
+    `rays` are directions along the border of each view's picture. `wants` becomes False, in place, where no further
+    view is wanted. Exposures of the views are matched; a view with much coarser pixels than the finest one is not used.
     """
     xs, ys = grid.xy()
     level, low, high = float(np.median(height)), float(height.min()), float(height.max())
@@ -88,7 +88,7 @@ def _block(
 
 
 def _without_black(mean: F32) -> U8:
-    """Return colours (R, C, 3) as levels; green is at least 1, because 0 means no picture (see `block_light`)."""
+    """Round colours (R, C, 3) to levels; green is at least 1, because 0 means that there is no picture."""
     out = np.rint(mean).clip(0, 255).astype(np.uint8)
     np.maximum(out, 1, out=out, where=out[..., 1:2] == 0)
     return out
@@ -104,9 +104,9 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, m
         most: largest number of pixels.
 
     Returns:
-        The picture (f R, f C, 3), with f x f pixels per cell. Where no view is used, it has the map's own colours. It
-        is black only where nothing was seen, because black in a view is made one level brighter. The metres of ground
-        per pixel of the views used, (R, C); where no view is used, the sampling of the heights.
+        The picture (f R, f C, 3), with f x f pixels per cell, and the ground sampling (R, C), metres per pixel of the
+        views used. Where no view is used, the picture has the map's colours, and the sampling is that of the heights.
+        Black means that nothing was seen; black ground is made one level brighter.
     """
     grid, level = elevation.grid, float(np.nanmedian(elevation.height)) if np.isfinite(elevation.height).any() else 0.0
     finest = min((ground_sampling(v, level) for v in views), default=grid.cell)

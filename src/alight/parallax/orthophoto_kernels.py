@@ -17,7 +17,7 @@ def _between(a: np.uint8, b: np.uint8, c: np.uint8, d: np.uint8, fx: np.float32,
 
 @kernel
 def _sample(image: U8, tone: U8, u: np.float32, v: np.float32, out: U8) -> None:
-    """Write the colours (3,) of a picture (H, W, 1 or 3) at column `u` and row `v`, by the table `tone` (256, 3)."""
+    """Write the colours (3,) of a picture (H, W, 1 or 3) at column `u` and row `v`, converted by the table `tone`."""
     x, y = int(u), int(v)
     right, down = min(x + 1, image.shape[1] - 1), min(y + 1, image.shape[0] - 1)
     fx, fy, last = u - np.float32(x), v - np.float32(y), image.shape[2] - 1
@@ -28,7 +28,7 @@ def _sample(image: U8, tone: U8, u: np.float32, v: np.float32, out: U8) -> None:
 
 @kernel
 def _wanted(wants: Mask) -> tuple[int, int]:
-    """Return the start and the end (exclusive) of the part of a row that wants a view."""
+    """Return the index of the first True in a row, and the index after the last True; equal if all are False."""
     first, end = 0, wants.size
     while first < end and not wants[first]:
         first += 1
@@ -63,23 +63,22 @@ def sample_view(
     pixel: F32,
     exposures: F64,
 ) -> None:
-    """Sample a view on a window: its colours, where they are used, and its exposure against earlier views.
+    """Write the colours of a view on a grid, where they are used, and sums to compare its exposure with earlier views.
 
-    Views come in order, the finest first. `wants` becomes False, in place, where the view is too coarse, because all
-    later views are too. Only the stretches of rows that want a view are computed.
+    Views come in order, the finest first. Where this view is too coarse, all later ones are, so `wants` becomes False.
 
     Args:
         image: (H, W, 1 or 3).
         tone: (256, 3) table from levels of the image to colours.
         H, b, intrinsics, distortion, model, r2_max, rolling: as for `project_grid`.
-        centre: (3,) camera centre, metres; a pixel covers distance over focal length.
+        centre: (3,) camera centre, metres.
         xs, ys: metres, east of the columns and north of the rows.
         height: (R, C) metres.
         level: mean height of the ground, metres.
-        coarser: a view is not used where its pixel is larger than the finest by this factor.
-        wants: (R, C) True where another view is wanted.
+        coarser: largest pixel of a view that is used, in units of the finest pixel.
+        wants: (R, C) True where another view is wanted; changed in place.
         finest: (R, C) finest pixel of earlier views, metres.
-        total, number: (R, C, 3), (R, C) sum and number of earlier views.
+        total, number: (R, C, 3), (R, C) sum of the colours, and number, of earlier views.
         seen, use, pixel: (R, C, 3), (R, C), (R, C) out: colours, True where they are used, metres of ground per pixel.
         exposures: (R, `EXPOSURES`) out, sums of each row over the pixels shared with earlier views.
     """
@@ -153,9 +152,10 @@ def add_view(
         seen: (R, C, 3) colours of the view on the grid.
         use: (R, C) True where the view is used.
         pixel: (R, C) metres of ground per pixel of the view.
-        gain: (3,) factor of the view's colours.
+        gain: (3,) factor on the view's colours.
         count: number of views wanted.
-        total, number, finest: (R, C, 3), (R, C), (R, C) sum, number and finest pixel (metres) of the views.
+        total, number, finest: (R, C, 3), (R, C), (R, C) sum of the colours, number, and finest pixel (metres) of all
+            views.
     """
     for r in range(use.shape[0]):
         for c in range(use.shape[1]):

@@ -33,10 +33,10 @@ ABOUT, LEAST_ABOUT, MARGIN_ABOUT = 16, 50, 1.0  # cells about an unseen region; 
 
 
 class Reach(NamedTuple):
-    """Limits of the heights that a ray tries, relative to the heights found on coarser cells."""
+    """Range of heights that a ray tries around the heights found on coarser cells."""
 
     beside: int  # coarse cells on either side whose heights the ray tries
-    border: int  # coarse cells on either side, used where `beside` holds no height
+    border: int  # coarse cells on either side that are used where none within `beside` has a height
     slack: int  # planes added at either end
 
 
@@ -53,35 +53,40 @@ class Swept(NamedTuple):
 
     @classmethod
     def nothing(cls, grid: Grid) -> Swept:
-        """Return the result of a sweep that found nothing: all NaN."""
+        """Return a result without any height: all NaN."""
         return cls(*np.full((2, *grid.shape), np.nan, np.float32))
 
 
 def parallax_per_metre(centres: F64, height: float) -> float:
-    """Return the parallax of the two outermost `centres` (N, 3) at `height` (metres): metres per metre of height."""
+    """Return the largest parallax between cameras at `centres` (N, 3), per metre of height, for ground at `height`."""
     v = centres[:, :2] / np.maximum(centres[:, 2:] - height, 1e-3)
     return float(max(np.linalg.norm(v - a, axis=1).max() for a in v)) if len(v) else 0.0
 
 
 def plane_count(slide: float, low: float, high: float, cell: float, most: int) -> int:
-    """Return the number of planes (5 to `most`) 0.7 cells of parallax apart; `slide`: parallax per metre of height."""
+    """Return the number of planes from `low` to `high`, 5 to `most`, at steps of 0.7 cells of parallax.
+
+    `slide` is the parallax, metres per metre of height; `cell` is the cell size, metres.
+    """
     return int(np.clip(np.ceil((high - low) * max(slide, 1e-3) / (0.7 * cell)) + 1, 5, most))
 
 
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """Views registered on the plane at height `ground`: a hypothesis of another height is a shift and a scale."""
+    """Views resampled to the plane at height `ground`. For other heights, each picture is shifted and scaled."""
 
     grid: Grid
     ground: float  # metres
     pictures: F32  # (N, R, C) normalised grey, NaN outside; only views that see part of the grid
     centres: F64  # (N, 3) metres
-    guide: F32  # picture of the reference on the swept cells, without the margin
+    guide: F32  # picture of the reference view on the swept cells, without the margin
 
     def at(self, cells: Grid, heights: F32, about: F64) -> tuple[F64, F64]:
-        """Return scale (D, N) and shift (D, N, 2) from rows and columns of `cells` to those of the N pictures.
+        """Return scale (D, N) and shift (D, N, 2) that map rows and columns of `cells` to those of the N pictures.
 
-        For each of the D heights (metres), a cell is moved along its ray to the camera centre `about` (3,).
+        Args:
+            heights: (D,) heights to which the cells are moved along their rays, metres.
+            about: (3,) camera centre in which the rays meet, metres.
         """
         z = heights.astype(np.float64)[:, None]
         s = (about[2] - z) / (about[2] - self.ground)
@@ -95,7 +100,7 @@ class Registered:
 
 
 def register(prepared: list[Prepared], grid: Grid, ground: float, searched: Span, reference: int) -> Registered:
-    """Register views on the plane at `ground`, over `grid` and as far beyond it as the heights `searched` require."""
+    """Return the views resampled to the plane at `ground`, over `grid` and a margin for the heights `searched`."""
     centres = centres_of(prepared)
     slide = np.abs(centres[:, None, :2] - centres[None, :, :2]).max()
     share = max(abs((centres[:, 2].min() - ground) / (centres[:, 2].min() - z) - 1) for z in searched)
@@ -111,7 +116,7 @@ def register(prepared: list[Prepared], grid: Grid, ground: float, searched: Span
 
 
 def ray_lattice(grid: Grid, ground: float, searched: Span, reference: Prepared) -> Grid:
-    """Return the cells at `ground` whose rays to the reference view cross `grid` at the heights `searched`."""
+    """Return the grid, at height `ground`, of the rays to the reference that cross `grid` at the heights `searched`."""
     about = reference.centre
     x, y = (v[[0, -1]] for v in grid.xy())
     share = np.array([(about[2] - ground) / (about[2] - z) for z in searched])
@@ -135,15 +140,15 @@ def sweep_unseen(
     tuning: SweepTuning,
     known: F32 | None = None,
 ) -> Swept:
-    """Sweep the heights of the `wanted` (R, C) cells along the rays of the view that sees most of them from above.
+    """Find the heights of the `wanted` (R, C) cells by sweeps along the rays of the views that see them best.
 
-    Cells that this view does not see, behind a step or beyond its border, are swept along the rays of other views.
+    Cells that one view does not see, behind a step or beyond its border, are swept along the rays of another view.
 
     Args:
-        pyramid: the views at each cell size, as for `sweep`.
+        pyramid: the views prepared for each cell size, as for `sweep`.
         searched: lowest and highest height, metres.
         ground: approximate height of the ground, metres.
-        known: heights (R, C), metres, NaN = unknown; the known heights about a region narrow its search.
+        known: (R, C) heights, metres, NaN = unknown; those around a region of wanted cells narrow its search.
     """
     out = Swept.nothing(grid)
     left, tried = wanted.copy(), list[tuple[Box, int]]()
@@ -171,7 +176,7 @@ def sweep_unseen(
 
 
 def narrowed(found: F32, searched: Span, margin: float, least: int = 1) -> Span:
-    """Narrow the range `searched` to the heights `found` plus a `margin`, metres, if `least` or more are known."""
+    """Return `searched` narrowed to the range of `found` plus a `margin`, metres, if at least `least` are known."""
     known = found[np.isfinite(found)]
     if len(known) < least:
         return searched
@@ -181,7 +186,7 @@ def narrowed(found: F32, searched: Span, margin: float, least: int = 1) -> Span:
 
 
 def regions(wanted: Mask, least_share: float) -> list[Box]:
-    """Return rectangles (rows, columns) about the blocks of which more than `least_share` is wanted."""
+    """Return rectangles (rows, columns) around connected blocks in which more than `least_share` is `wanted`."""
     shape = tuple(-(-n // SEEN_BLOCK) for n in wanted.shape)
     whole = np.zeros((shape[0] * SEEN_BLOCK, shape[1] * SEEN_BLOCK), np.float32)
     whole[: wanted.shape[0], : wanted.shape[1]] = wanted
@@ -198,9 +203,10 @@ def regions(wanted: Mask, least_share: float) -> list[Box]:
 def best_reference(
     prepared: list[Prepared], grid: Grid, ground: float, wanted: Mask, but: Collection[int]
 ) -> int | None:
-    """Return the index of the view that sees most of the `wanted` cells, if they lie at `ground`; None if no view does.
+    """Return the index of the view that sees most of the `wanted` cells; None if no view sees any.
 
-    Steep views are preferred. The views whose indices are in `but` are left out.
+    The cells are assumed to lie at the height `ground`. Steep views are preferred; views with an index in `but` are
+    left out.
     """
     wide = grid.coarser(SEEN_BLOCK)
     share = cv2.resize(wanted.astype(np.float32), wide.shape[::-1], interpolation=cv2.INTER_AREA)
@@ -216,7 +222,7 @@ def best_reference(
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """First and last plane that each ray tries; the costs of one ray are adjacent in the cost volume."""
+    """Indices of the first and the last plane that each ray tries."""
 
     low: I32  # (R, C)
     high: I32  # (R, C)
@@ -228,7 +234,7 @@ class Spans:
 
     @classmethod
     def about(cls, found: F32, shape: tuple[int, int], levels: F32, reach: Reach) -> Spans:
-        """Return spans about the heights `found` (R / 2, C / 2) on cells twice as large; `shape` is that of the rays.
+        """Return spans around heights `found` (R / 2, C / 2) on cells twice as large, for rays of `shape`.
 
         Beside a step, a ray tries the heights on both sides of it and all between (Rothermel et al. 2012, tSGM).
         `levels` (D,) are the heights of the planes. All heights are in metres.
@@ -246,14 +252,14 @@ class Spans:
 
     @property
     def neighbours(self) -> Spans:
-        """Spans widened by the spans of the neighbouring rays, because the costs of neighbours are averaged."""
+        """Spans that also contain the spans of the neighbouring rays, because the costs of neighbours are averaged."""
         near = np.ones((3, 3), np.uint8)
         low, high = -cv2.dilate(-self.low.astype(np.float32), near), cv2.dilate(self.high.astype(np.float32), near)
         return Spans(low.astype(np.int32), high.astype(np.int32))
 
     @property
     def first(self) -> I64:
-        """Index of each ray's first cost in the cost volume, (R, C)."""
+        """Index of each ray's first cost in the cost volume, (R, C); the costs of one ray are adjacent."""
         count = (self.high - self.low + 1).astype(np.int64)
         return np.cumsum(count).reshape(count.shape) - count
 
@@ -267,8 +273,8 @@ def sweep(
 
     Args:
         pyramid: the views prepared for the cells of `grid`, for cells twice as large, and so on. The coarsest level
-            tries all planes that its views can separate. Each finer level tries planes about the heights of the coarser
-            level.
+            tries all planes that its views can separate. Each finer level tries planes around the heights of the
+            coarser level.
         searched: lowest and highest height, metres; heights very near the lowest view (`CLOSE`) are left out.
         ground: approximate height of most of the ground, metres.
         reference: index of the view along whose rays heights are tried.
@@ -301,7 +307,7 @@ def sweep(
 
 
 def extremes(found: F32, reach: int) -> tuple[F32, F32]:
-    """Return the lowest and the highest known height within `reach` cells; inf and -inf where all are unknown."""
+    """Return the lowest and highest known height within `reach` cells of each cell; inf and -inf if none is known."""
     near, known = np.ones((2 * reach + 1,) * 2, np.uint8), np.isfinite(found)
     border = cv2.BORDER_REPLICATE  # OpenCV's own is the largest number, not infinity
     low = cv2.erode(np.where(known, found, np.float32(np.inf)), near, borderType=border)
@@ -310,7 +316,10 @@ def extremes(found: F32, reach: int) -> tuple[F32, F32]:
 
 
 def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: F64, tuning: SweepTuning) -> Swept:
-    """Return height and ambiguity (R, C) of `rays` to the centre `about`, from the planes `levels` in their `spans`."""
+    """Return the height (metres) and cost ratio of each of the `rays`, chosen among the planes in its span.
+
+    The rays meet in the camera centre `about` (3,); `levels` (D,) are the heights of the planes, metres.
+    """
     first, near, everywhere = spans.first, spans.neighbours, Spans.whole(rays.shape, len(levels))
     cost = np.empty((spans.high - spans.low + 1).sum(dtype=np.int64), np.float32)  # of all rays
     plane, count = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.int32)
@@ -337,10 +346,15 @@ def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: 
 
 
 def upright(found: F32, ratio: F32, rays: Grid, ground: float, about: F64, grid: Grid, gap: int) -> Swept:
-    """Move heights found along the rays to `about` to the world grid; where several meet in a cell, the highest stays.
+    """Resample heights from rays to the world grid `grid`; of several heights in a cell, the highest is kept.
 
-    Gaps of a few cells are filled with the lowest height beside them, because ground hidden by a step lies at its foot.
-    Filled heights have no cost, so their ratio is 1: another height may be as good.
+    Gaps are filled with the lowest height beside them, because ground hidden by a step lies at its foot. Filled heights
+    have the ratio 1: another height may fit as well.
+
+    Args:
+        found, ratio: heights on the rays, metres, NaN = none, and their cost ratios.
+        rays: grid of the rays at height `ground`; the rays meet in the camera centre `about` (3,), metres.
+        gap: half the width of the widest gap that is filled, cells.
     """
     height, which = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
     to = np.array(

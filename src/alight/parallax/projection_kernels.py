@@ -22,7 +22,7 @@ def _ideal_row(p: F32, step: F32, b: F32, h: F32, x: F32, y: F32, z: F32) -> Non
 
 @kernel
 def _roll_row(r: F32, height: np.float32, mapy: F32, ideal: F32, x: F32, y: F32) -> None:
-    """Correct ideal coordinates for the motion of the camera until the exposure of their pixel row (eq. 4b)."""
+    """Write to `x`, `y` the `ideal` coordinates after the camera's motion until row `mapy` was exposed (eq. 4b)."""
     for c in range(x.size):
         u, v, inverse = ideal[0, c], ideal[1, c], ONE / ideal[2, c]
         t = (mapy[c] + HALF) / height - HALF
@@ -35,7 +35,7 @@ def _roll_row(r: F32, height: np.float32, mapy: F32, ideal: F32, x: F32, y: F32)
 
 @pixelwise
 def _pixel(lens: F32, x: np.float32, y: np.float32, seen: bool) -> tuple[np.float32, np.float32]:
-    """Return the pixel of distorted coordinates, or `OUTSIDE`; `lens`: fu, fv, cu, cv, last column and row."""
+    """Return column and row of distorted coordinates (x, y); `OUTSIDE` if not in the picture or not `seen`."""
     u, v = lens[0] * x + lens[2], lens[1] * y + lens[3]
     ok = seen & (u >= ZERO) & (u <= lens[4]) & (v >= ZERO) & (v <= lens[5])
     return u if ok else OUTSIDE, v if ok else OUTSIDE
@@ -85,10 +85,10 @@ def project_row(
     p: F32, step: F32, b: F32, lens: F32, k: F32, model: int, r2_max: np.float32, height: np.float32, roll: F32,
     h: F32, ideal: F32, mapx: F32, mapy: F32,
 ) -> None:  # fmt: skip
-    """Fill the pixels of a row of cells at heights `h` (C,), metres (eqs. 1 to 3 and 4b).
+    """Write the pixel columns `mapx` and rows `mapy` of a row of cells at heights `h` (C,), metres (eqs. 1 to 4b).
 
     Args:
-        p, step: (3,) homogeneous coordinates of the first cell, and their increment from cell to cell.
+        p, step: (3,) homogeneous coordinates of the first cell at height 0, and their increment from cell to cell.
         b: (3,) increment of the homogeneous coordinates per metre of height.
         lens: fu, fv, cu, cv, last column and row.
         k: (5,) distortion of the `model`.
@@ -122,12 +122,18 @@ def project_grid(
     mapx: F32,
     mapy: F32,
 ) -> None:
-    """Fill `mapx`, `mapy` (R, C) with the pixel of each cell (xs[c], ys[r]) at height h[r, c] (eqs. 1 to 3 and 4b).
+    """Write the pixel column `mapx` and row `mapy` (R, C) of each cell (xs[c], ys[r]) at height h[r, c] (eqs. 1 to 4b).
 
-    It works row by row in short loops without branches, which the compiler vectorises: 8 times faster than one loop.
-    The start of a row is computed in double precision, its cells in single precision: an error of 0.0001 px in 1000 px.
-    `rolling` is the (9,) motion of the camera as in `rolling_of`, or (0,) without rolling shutter.
+    Args:
+        H, b: (3, 3), (3,) ground homography and image of the vertical (eq. 2).
+        intrinsics: fu, fv, cu, cv.
+        k, model: (5,) distortion, and code of its model.
+        r2_max: limit of the squared ideal radius.
+        width, height: size of the picture, px.
+        rolling: (9,) motion of the camera as in `rolling_of`, or (0,) without rolling shutter.
     """
+    # short loops without branches are 8 times faster than one loop. The start of a row is computed in double precision,
+    # its cells in single precision: an error of 0.0001 px in 1000 px
     rows, cols = h.shape
     b32, k32, limit = b.astype(np.float32), k.astype(np.float32), np.float32(r2_max)
     lens = np.array([intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3], width - 1.0, height - 1.0], np.float32)

@@ -27,7 +27,7 @@ from alight.settings import ParallaxSettings
 
 
 class RecursiveParallax:
-    """Recursive estimator of heights: a window of keyframes at distances that grow with age, and the step on them."""
+    """Recursive estimator of heights, with a window of keyframes whose distances from the newest grow with age."""
 
     def __init__(self, settings: ParallaxSettings, cell: float, ground: float) -> None:
         self._settings, self._tuning = settings, settings.recursive
@@ -43,14 +43,12 @@ class RecursiveParallax:
 
     @property
     def beginning(self) -> bool:
-        """Whether most of the window is little refined, so that heights of a part need not be typical of the rest."""
+        """Whether most of the window was refined too seldom for its known heights to represent the rest."""
         return self._blocks.begins
 
     def work_at(self, cell: float, ground: float) -> None:
-        """Set the cell size and the ground height, metres; for a new `cell` the kept pictures are prepared again.
-
-        Pictures prepared for another ground height stay as they are, because that height only affects their smoothing.
-        """
+        """Set the cell size and the ground height, metres; for a new `cell` the kept pictures are prepared again."""
+        # pictures prepared for another ground height stay, because that height only affects their smoothing
         self._ground = ground
         if cell != self._cell:
             self._blocks.forget(sharper=cell < self._cell)
@@ -65,9 +63,9 @@ class RecursiveParallax:
         self._blocks.begin_anew()
 
     def push(self, views: list[View], poses: KeyframePosterior | None = None) -> None:
-        """Add the images of one exposure, in or out of sequence; an exposure that is held already is ignored.
+        """Add the images of one exposure, in or out of sequence; an exposure that is already held is ignored.
 
-        A full window drops the keyframe whose loss leaves the smallest gap. `poses`: posterior of the keyframes,
+        A full window drops the keyframe whose loss leaves the smallest gap. `poses` is the posterior of the keyframes,
         including this exposure; None: the poses of the views are used as given.
         """
         if views[0].t_ns in self.kept:
@@ -82,7 +80,7 @@ class RecursiveParallax:
             self.alignment.update_posterior(poses, set(self.kept), drop)
 
     def step(self, grid: Grid, known: ElevationMap, low: float, high: float, effort: int = 0) -> list[Heights]:
-        """Improve the heights of a part of a window with the present keyframes (docs/method/recursive.md).
+        """Refine the heights in a part of a window with the present keyframes (docs/method/recursive.md).
 
         Args:
             grid: the window, cells on the map's raster.
@@ -121,7 +119,7 @@ class RecursiveParallax:
     def _window(
         self, grid: Grid, known: ElevationMap, ratio: F32, searched: tuple[float, float], effort: Effort
     ) -> Window:
-        """Return the window and its views; with less effort, most exposures take part with one camera per rig only."""
+        """Return the window of a step with its views; at reduced effort, many exposures use one camera per rig only."""
         times, views = list(self.kept), [k for exposure in self.kept.values() for k in exposure]
         drop, rigs = float(self.kept[times[-1]][0].view.centre[2]) - self._ground, times[:: -effort.rigs]
         first = first_of_twins(views, APART * drop)
@@ -132,10 +130,8 @@ class RecursiveParallax:
         return Window(self._settings, self._buffers, grid, known, kept, seen, ratio, searched, drop, *twins)
 
     def _views_of(self, window: Window, box: Box, fresh: Mask) -> list[Kept]:
-        """Return the views that sweep a rectangle: a few exposures over about twice the least baseline.
-
-        More exposures would blur the edges of objects. A longer baseline takes more planes, and later steps have it.
-        """
+        """Return the views for sweeping `fresh` cells of a rectangle: a few exposures over twice the least baseline."""
+        # more exposures would blur the edges of objects, a longer baseline takes more planes
         seen = [window.kept[i] for i in np.unique(window.apart[window.views_of(box)])]
         wanted = max(1.0, float(np.median(self._wanted(window.ratio[box])[fresh])))
         span, newest = 2 * wanted * self._tuning.first_baseline * window.drop, seen[-1].view.centre
@@ -147,11 +143,11 @@ class RecursiveParallax:
 
     @staticmethod
     def _wanted(ratio: F32) -> F32:
-        """Return the least baseline for sweeping each cell, as a multiple of the first sweep's; failures double it."""
+        """Return the least baseline for sweeping each cell, in units of `first_baseline`; a failed sweep doubles it."""
         return np.where(ratio >= 1, 2 * ratio, np.float32(1))
 
     def _has_baseline(self, baseline: F32, count: U8, ratio: F32, drop: float) -> Mask:
-        """Return where the baseline (metres) of `count` views suffices to sweep a cell of this ambiguity `ratio`."""
+        """Return a mask of the cells with enough views and baseline to be swept, given their last cost ratio."""
         wide = baseline / np.float32(self._tuning.first_baseline * drop)
         return np.where(count >= self._tuning.first_views, wide, np.float32(0)) >= self._wanted(ratio)
 
@@ -173,7 +169,7 @@ class RecursiveParallax:
         return self._blocks.plan(counts, (row, col), self._tuning.first_exposures * planes, reach, effort)
 
     def _settle(self, found: Heights | None, known: ElevationMap, box: Box) -> None:
-        """Record which heights of a rectangle were replaced, or gained or lost trust."""
+        """Record which heights of a rectangle were replaced, became trusted, or lost trust."""
         every = refine.SEEN_BLOCK
         h0, s0, f0 = (getattr(known, k)[box][::every, ::every] for k in ("height", "sigma", "flags"))
         before = np.isfinite(h0)
@@ -184,14 +180,10 @@ class RecursiveParallax:
         return self._blocks.visited(box, before, changed, every)
 
     def _swept(self, window: Window, plan: Plan) -> tuple[F32, Mask]:
-        """Sweep the cells that have enough baseline for the first time since the restart.
+        """Sweep the planned cells; return initial heights (R, C), metres, and a mask of the map's heights to ignore.
 
-        Their ambiguity is written to the window's `ratio`. The map is shifted to the sweep as a whole and keeps its
-        shape, except where the two differ by more than `same_px` parallax pixels. Cells without a sweep are left out of
-        the step.
-
-        Returns:
-            Initial heights (R, C), metres, NaN without a sweep; the mask of cells whose height in the map is wrong.
+        Heights are NaN in cells still to be swept. Where sweep and map agree to `same_px` parallax pixels, the map's
+        height is used, shifted by their median difference. The cost ratios are written to the window's `ratio`.
         """
         anew = np.isnan(window.ratio)
         start, wrong = np.where(anew, np.float32(np.nan), window.known.height), np.zeros(anew.shape, np.bool_)
@@ -211,7 +203,7 @@ class RecursiveParallax:
         return start, wrong
 
     def _sweep(self, window: Window, box: Box, fresh: Mask, halvings: int) -> Swept:
-        """Sweep the `fresh` cells of a rectangle, with the cell size doubled `halvings` times."""
+        """Sweep the `fresh` cells of a rectangle, with the cell size doubled `halvings` times; return all its cells."""
         grid, ground, coarser = window.grid.part(box), float(np.clip(self._ground, *window.searched)), 1 << halvings
         ready = [v.halved(halvings) for v in self._views_of(window, box, fresh)]
         wanted = np.ascontiguousarray(fresh[::coarser, ::coarser])
@@ -226,11 +218,11 @@ def shift_of(apart: F32) -> np.float32:
 
 
 def spread_baselines(away: NDArray[np.float64], count: int, span: float) -> list[int]:
-    """Choose `count` keyframes, oldest first, whose distances from the newest grow in proportion; return their indices.
+    """Return the indices of up to `count` keyframes, oldest first, whose distances from the newest grow in proportion.
 
-    `away` (N,) is the distance of each keyframe from the newest (the last element), divided by the height. Near
-    keyframes find new ground, far ones measure it best. Keyframes at `span` or farther see too little of the newest
-    view's ground.
+    Args:
+        away: (N,) distance of each keyframe from the newest, which is the last, divided by the height above ground.
+        span: keyframes at this distance or farther are left out: they see too little of the newest view's ground.
     """
     kept = [i for i in range(len(away)) if away[i] < span]
     while len(kept) > count:

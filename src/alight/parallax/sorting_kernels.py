@@ -15,7 +15,7 @@ NOTHING = np.float32(1e9)  # replaces a missing sample: sorts behind all others
 
 @cache
 def network(n: int) -> I64:
-    """Return the index pairs (K, 2) that sort `n` values by compare and swap: Batcher's odd-even merge sort (1968)."""
+    """Return the sorting network of `n` values: index pairs (K, 2) to compare and swap (Batcher 1968)."""
     pairs = []
     p = 1
     while p < n:
@@ -32,7 +32,7 @@ def network(n: int) -> I64:
 
 @kernel
 def fill_row(samples: F32, out: F32, count: F32) -> None:
-    """Copy one view's row, with `NOTHING` for NaN, and add 1 to `count` where there is a sample."""
+    """Copy a row of samples to `out`, with `NOTHING` for NaN; add 1 to `count` where there is a sample."""
     for c in range(samples.size):
         s = samples[c]
         seen = s == s
@@ -57,7 +57,7 @@ def sort_rows(rows: F32, pairs: I64) -> None:
 
 @kernel
 def _pick(row: F32, index: np.float32, count: F32, offset: np.float32, out: F32) -> None:
-    """Add half of `row` to `out` where its `index` is a middle one of `count`: floor((count + offset) / 2) == index."""
+    """Add half of row `index` to `out` where it is a middle one of `count` rows: floor((`count` + `offset`) / 2)."""
     half = np.float32(0.5)
     for c in range(row.size):
         middle = np.floor(half * (count[c] + offset))
@@ -66,7 +66,7 @@ def _pick(row: F32, index: np.float32, count: F32, offset: np.float32, out: F32)
 
 @kernel
 def median_row(rows: F32, count: F32, out: F32) -> None:
-    """Fill the median of the first `count` values of each column of sorted `rows` (N, C); undefined if count is 0."""
+    """Write the median of the first `count` values of each column of sorted `rows` (N, C); undefined if count is 0."""
     out[:] = 0
     for j in range(rows.shape[0]):
         _pick(rows[j], np.float32(j), count, np.float32(-1), out)

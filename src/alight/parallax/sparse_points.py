@@ -31,7 +31,7 @@ class ViewFeatures(NamedTuple):
 
     @classmethod
     def of(cls, view: View, tuning: PointsTuning) -> ViewFeatures:
-        """Detect the features of a view; on plain ground, such as gravel from far away, weak ones are included."""
+        """Detect the features of a view; weak ones are included only if there are too few strong ones."""
         grey = grey_levels(view.image)
         scale = min(1.0, tuning.longest_px / max(grey.shape))
         small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else grey
@@ -48,11 +48,11 @@ class ViewFeatures(NamedTuple):
 
 
 def triangulate_pair(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F64, F64]:
-    """Triangulate pairs of rays (N, 3) from two camera centres by the midpoint between their nearest points.
+    """Triangulate pairs of unit rays (N, 3) from the camera centres `ca` and `cb` (3,) by the midpoint method.
 
     Returns:
-        The points (N, 3); the sine of the angle between the rays (N,); the distance between the rays as an angle seen
-        from the cameras (N,), rad, infinite where the point lies behind a camera.
+        The points (N, 3); the sine of the angle between the rays (N,); the distance between the two rays over the
+        distance to the nearer camera (N,), infinite where the point lies behind a camera.
     """
     base = cb - ca
     dot = (rays_a * rays_b).sum(1)
@@ -68,8 +68,8 @@ def triangulate_pair(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F
 def pair_points(a: ViewFeatures, b: ViewFeatures, tuning: PointsTuning) -> tuple[F64, float]:
     """Return the points (M, 3) of a pair of views, below both cameras, and the median angle of matched rays, rad.
 
-    There are no points (`NO_POINTS`) if most rays meet at too small an angle, because the others are then wrong matches
-    that lie too near. The angle is infinite if there are too few matches.
+    There are no points if that angle is too small, because most rays with a larger angle are then wrong matches. The
+    angle is infinite if there are too few matches.
     """
     if len(a.rays) < 2 or len(b.rays) < 2:
         return NO_POINTS, np.inf
@@ -84,10 +84,8 @@ def pair_points(a: ViewFeatures, b: ViewFeatures, tuning: PointsTuning) -> tuple
 
 
 def find_points(views: Sequence[View], tuning: PointsTuning) -> F64:
-    """Triangulate points of the scene from pairs of `views`, in order of time; return (N, 3) metres in the world.
-
-    The stride between the views of a pair doubles until their rays meet at three times `least_angle` or overlap ends.
-    """
+    """Return points (N, 3) of the scene, metres in the world, triangulated from pairs of `views` in order of time."""
+    # the stride between the views of a pair doubles until their rays meet at three times `least_angle` or overlap ends
     views = [v for v in views if v.cam == views[0].cam]
 
     @lru_cache(maxsize=64)
@@ -112,7 +110,7 @@ def find_points(views: Sequence[View], tuning: PointsTuning) -> F64:
 
 
 def supported(points: F64, height_of_camera: float, tuning: PointsTuning) -> F64:
-    """Return the points (M, 3) whose heights agree with enough neighbours: one wrong match would widen the search."""
+    """Return the points (M, 3) whose heights agree with those of enough neighbours; the others may be wrong matches."""
     if len(points) <= tuning.neighbours:
         return points
     like = tuning.like_height * max(height_of_camera - float(np.median(points[:, 2])), 1.0)
@@ -126,8 +124,8 @@ def height_range(
 ) -> tuple[float, float]:
     """Return the lowest and highest height to search, metres: the span of the points and a margin.
 
-    The margin covers ground without points (tree tops, holes). It ends below the camera by a fifth of the height above
-    ground, but the range always contains points that lie higher.
+    The margin covers ground without points (tree tops, holes). The range ends below the camera by a fifth of the height
+    above ground, unless points lie higher.
 
     Args:
         points: (N, 3) metres.

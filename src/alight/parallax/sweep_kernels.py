@@ -51,10 +51,11 @@ def _times(row: F32, factor: np.float32, out: F32) -> None:
 def _cost_row(
     views: F32, a: int, z: int, seen: int, keep: float, truncation: np.float32, scratch: F32, cost: F32
 ) -> None:  # fmt: skip
-    """Compute the cost (eq. 6) of cells `a` to `z`, each seen by `seen` views; `views` (N, C), sorted, is overwritten.
+    """Write the cost (eq. 6) of cells `a` to `z` - 1, each seen by `seen` views, from sorted samples `views` (N, C).
 
-    The samples nearest to the median are adjacent when sorted, so theirs is the smallest of a few window sums.
+    `views` is overwritten; `keep` and `truncation` are as in `sweep_cost`.
     """
+    # the samples nearest to the median are adjacent when sorted, so their sum is the smallest of a few window sums
     if seen < 2:
         cost[:] = truncation
         return
@@ -75,10 +76,8 @@ def _cost_row(
 
 @inline
 def _taps(t: float) -> Four:
-    """Return the Catmull-Rom weights of four neighbours, at a share `t` of the distance from the second to the third.
-
-    Linear weights would blur samples between pixels, so that planes with such shifts would win.
-    """
+    """Return the Catmull-Rom weights of four pixels, at a share `t` of the way from the second to the third."""
+    # linear weights would blur samples between pixels, so that planes with such shifts would win
     return (
         np.float32(t * (-0.5 + t * (1.0 - 0.5 * t))),
         np.float32(1.0 + t * t * (1.5 * t - 2.5)),
@@ -103,7 +102,8 @@ def _weigh_row(row: F32, first: F32, second: F32, third: F32, fourth: F32, out: 
 
 @kernel
 def _along(row: F32, first: I32, until: I32, taps: F32, start: int, out: F32) -> None:
-    """Sample a row at the columns from `start` on, in runs of adjacent pixels: a gather takes ten times as long."""
+    """Interpolate a row at the columns from `start` on, by the first pixels and weights from `_columns`."""
+    # in runs of adjacent pixels: a gather takes ten times as long
     c, stop = start, start + out.size
     while c < stop:
         end, k = min(int(until[c]), stop), int(first[c])
@@ -114,9 +114,9 @@ def _along(row: F32, first: I32, until: I32, taps: F32, start: int, out: F32) ->
 
 @kernel
 def _columns(scale: float, shift: float, size: int, first: I32, until: I32, taps: F32) -> None:
-    """Find the first of the four pixels about each column in a row of `size`, and their weights; NaN outside the row.
+    """Write the first of the four pixels around `scale` c + `shift` for each column c, and their weights (4, C).
 
-    `until` gets the end of the run of columns whose first pixels are adjacent.
+    Weights are NaN outside a row of `size` pixels. `until` is the end of the run of columns with adjacent first pixels.
     """
     cols = first.size
     for c in range(cols):
@@ -132,7 +132,7 @@ def _columns(scale: float, shift: float, size: int, first: I32, until: I32, taps
 
 @kernel
 def _next_run(low: I32, high: I32, plane: int, start: int) -> tuple[int, int]:
-    """Return start and stop of the next run of cells whose span holds `plane`; runs less than `NEAR` apart join."""
+    """Return start and stop of the next run of cells whose span contains `plane`; runs near each other are joined."""
     cols = low.size
     while start < cols and not low[start] <= plane <= high[start]:
         start += 1
@@ -149,16 +149,18 @@ def sweep_cost(
     pictures: F32, scale: F64, shift: F64, pairs: I64, keep: float, truncation: float,
     low: I32, high: I32, plane: int, cost: F32, count: I32,
 ) -> None:  # fmt: skip
-    """Fill `cost` (R, C) with the matching cost of a plane (eq. 6), and `count` (R, C) with the number of views.
+    """Write the matching cost of a plane (eq. 6) to `cost` (R, C), and the number of views to `count` (R, C).
 
-    The cost is the mean of the smallest `keep` share of |s_i - median|. Occluded and moving views deviate most; leaving
-    them out keeps walls upright. Cells whose span leaves out the plane may keep their old cost.
+    The cost is the mean deviation of the samples from their median. The samples that deviate most are left out, because
+    occluded and moving views are among them. Cells whose span does not contain the plane may keep their old cost.
 
     Args:
         pictures: (N, P, Q) views registered on a plane.
         scale, shift: (N,), (N, 2). Cell (r, c) lies in picture i at row `scale[i] r + shift[i, 0]` and at column
             `scale[i] c + shift[i, 1]`.
         pairs: sorting network of N values.
+        keep: share of the samples that is used.
+        truncation: upper limit of a deviation.
         low, high: (R, C) first and last plane of each cell.
     """
     n, height, width = pictures.shape
@@ -202,7 +204,7 @@ def sweep_cost(
 
 @parallel_kernel
 def store(values: F32, plane: int, low: I32, high: I32, first: I64, cost: F32) -> None:
-    """Store the 3 x 3 means of a plane's `values` (R, C) in the volume `cost`, for cells whose span holds the plane.
+    """Write the 3 x 3 means of a plane's `values` (R, C) to the volume `cost`, for cells whose span contains the plane.
 
     The costs of cell (r, c) begin at `cost[first[r, c]]`, one for each plane from `low[r, c]` to `high[r, c]`.
     """
@@ -229,7 +231,11 @@ def _lowest(values: F32) -> float:
 
 @kernel
 def _extend(cost: F32, before: F32, best: np.float32, jump: np.float32, p1: np.float32, out: F32, total: F32) -> None:
-    """Add planes of one cell of a path; `before`: costs at the previous cell, with one more plane at both ends."""
+    """Write the path costs of planes near those of the previous cell to `out`, and add them to `total`.
+
+    `before` are the costs at the previous cell, from one plane below to one above; `best` is the lowest of all its
+    costs. `jump` is `best` plus the penalty for a larger change, `p1` is the penalty for a change by one plane.
+    """
     depth = cost.size
     same, down, up = before[1 : depth + 1], before[:depth], before[2 : depth + 2]
     for d in range(depth):
@@ -244,7 +250,7 @@ def _extend(cost: F32, before: F32, best: np.float32, jump: np.float32, p1: np.f
 
 @kernel
 def _begin(cost: F32, more: np.float32, out: F32, total: F32) -> None:
-    """Add planes that the previous cell of the path does not have; `more` is the price of the jump."""
+    """Write the path costs of planes that the previous cell does not have, `cost` + `more`; add them to `total`."""
     for d in range(cost.size):
         v = cost[d] + more
         out[d] = v
@@ -256,7 +262,7 @@ def _path(
     cost: F32, low: I32, high: I32, first: I64, image: F32, p1: float, p2: float, edge: float, dr: int, dc: int,
     total: F32,
 ) -> None:  # fmt: skip
-    """Add one direction (`dr`, `dc`) of semi-global matching (Hirschmueller 2008, eq. 13) to `total`."""
+    """Add the path costs in one direction (`dr`, `dc`) of semi-global matching (Hirschmueller 2008) to `total`."""
     rows, cols = image.shape
     depth = 1
     for r in range(rows):
@@ -294,11 +300,16 @@ def _path(
 def aggregate(
     cost: F32, low: I32, high: I32, first: I64, image: F32, p1: float, p2: float, edge: float, halves: F32
 ) -> None:
-    """Fill `halves` (2, V), whose sum over axis 0 is the aggregated volume of eight scanline directions (eq. 7).
+    """Write the costs aggregated along eight scanline directions (eq. 7), as two halves (2, V) whose sum is the result.
 
-    `cost` (V,) is the volume; `store` describes the span of planes of each cell. One half holds the directions down the
-    rows and to the right, the other half the opposite ones. Two threads thus always compute the same sums.
+    Args:
+        cost: (V,) cost volume; `low`, `high` and `first` are as in `store`.
+        image: (R, C) picture of the reference view.
+        p1, p2: penalties for a change by one plane, and by more planes.
+        edge: `p2` is divided by 1 + `edge` times the difference of grey between two cells.
     """
+    # one half holds the directions down the rows and to the right, the other the opposite ones: two threads always
+    # compute the same sums
     for k in prange(2):
         halves[k] = 0.0
         sign = 1 - 2 * k
@@ -309,9 +320,10 @@ def aggregate(
 
 @parallel_kernel
 def winner(total: F32, cost: F32, low: I32, high: I32, first: I64, count: I32, height: F32, ratio: F32) -> None:
-    """Fill `height` (R, C) with the best plane of each cell and `ratio` (R, C) with its best over second-best cost.
+    """Write the best plane of each cell to `height` (R, C), and its best over second-best cost to `ratio` (R, C).
 
-    The plane is a fractional index, refined by a parabola. Both are NaN where fewer than two views see the cell.
+    The plane has the lowest aggregated cost `total`; it is a fractional index, refined by a parabola. The ratio is that
+    of the costs `cost`. Both results are NaN where `count`, the number of views, is below two.
     """
     rows, cols = count.shape
     for r in prange(rows):
@@ -349,12 +361,14 @@ def winner(total: F32, cost: F32, low: I32, high: I32, first: I64, count: I32, h
 
 @kernel
 def splat(found: F32, ratio: F32, ground: float, cell: float, place: F64, height: F32, which: F32) -> None:
-    """Move heights along their rays to the cells below them; the highest stays, and its `ratio` goes to `which`.
+    """Move heights along their rays to the cells below them; of several in a cell, the highest is kept.
 
     Args:
-        found: heights on the rays, metres, NaN = none; ray (0, 0) crosses the plane at height `ground` at `place[:2]`.
-        place: (5,) metres: first ray at `ground`, east and north of the first cell of `height`; origin of the rays,
-            east and north of that cell; height of the origin.
+        found, ratio: heights on the rays, metres, NaN = none, and their cost ratios.
+        ground: height at which the rays are `cell` metres apart.
+        place: (5,) metres, from the first cell of `height`: east and north of ray (0, 0) at height `ground`, east and
+            north of the camera centre; then the height of the camera centre.
+        height, which: in and out, heights of the cells, metres, NaN = none, and their cost ratios.
     """
     rows, cols = found.shape
     reach = np.float32(0.3)  # cells about a point that it covers

@@ -47,7 +47,8 @@ def shared(samples: F32, pairs: I64, mean: F32, seen: U8, least: int, tuning: Co
         least: number of views that a cell needs.
 
     Returns:
-        (R / BLOCK, C / BLOCK), rounded up; 0 where too few views see it, negative where pairs deviate oppositely.
+        (R / BLOCK, C / BLOCK), rounded up; 0 where too few views see the block, negative where the deviations of paired
+        views have opposite signs.
     """
     sums = np.empty((5, *(-(-n // BLOCK) for n in mean.shape)), np.float32)
     kernels.common(samples, pairs, mean, BLOCK, tuning.cut, sums)
@@ -60,7 +61,7 @@ def shared(samples: F32, pairs: I64, mean: F32, seen: U8, least: int, tuning: Co
 
 
 def moving(samples: F32, pairs: I64, fit: Fit, least: int, tuning: ConsistencyTuning) -> U16:
-    """Return MOVING flags (R, C), set where synchronous views share a deviation from the template."""
+    """Return (R, C) MOVING flags where synchronous views share a deviation from the template; see `shared`."""
     if not len(pairs):
         return np.zeros(fit.grid.shape, np.uint16)
     share = shared(samples, pairs, fit.mean, fit.seen, least, tuning)
@@ -69,11 +70,11 @@ def moving(samples: F32, pairs: I64, fit: Fit, least: int, tuning: ConsistencyTu
 
 
 def changed_since(samples: F32, pairs: I64, times: I64, tuning: ConsistencyTuning) -> Mask:
-    """Return where the ground looks different since some moment (eq. 16d), because somebody stopped there or left.
+    """Return a mask (R, C) of ground that looks different since some moment: somebody stopped there or left (eq. 16d).
 
-    The views from before the moment agree with each other, and so do the views from after it. The larger group would
-    pass for the ground, at the height of the map. `times` (N,) are those of the views, ns; the other arguments are as
-    in `shared`. The mask (R, C) is constant over blocks.
+    The views before that moment agree with each other, and so do the views after it. The larger group would pass for
+    the ground, at the height of the map. `times` (N,) are the times of the views, ns; the other arguments are as in
+    `shared`. The mask is constant over blocks.
     """
     at, first = np.unique(times[pairs[:, 0]], return_index=True)
     if len(at) < 2 * SIDE:
@@ -91,19 +92,18 @@ def changed_since(samples: F32, pairs: I64, times: I64, tuning: ConsistencyTunin
 
 
 class Contradicted(NamedTuple):
-    """Masks (R, C) of ground on which the views do not agree (eq. 16e), constant over blocks."""
+    """Masks (R, C) of ground on which the views disagree (eq. 16e), constant over blocks."""
 
     wrong: Mask  # whether the height of the map is wrong
     came: Mask  # whether the views agreed before, so that somebody has come since
 
 
 def contradicted(samples: F32, known: ElevationMap, least: int, tuning: ConsistencyTuning) -> Contradicted:
-    """Find ground on which the views do not agree, because somebody stands there, higher than the map (eq. 16e).
+    """Return masks of ground on which the views disagree, because somebody stands higher than the map (eq. 16e).
 
-    Still ground at the height of the map looks alike to all views. Deviations are taken from the mean of all views,
-    because the template leaves out views that deviate. Swaying plants differ at all times. So the limit for somebody
-    who came is lower, but it only holds where the views were alike in the step that gave the map its height. `known` is
-    the map before the step; the other arguments are as in `shared`.
+    Still ground at the height of the map looks alike to all views. Swaying plants look different at all times, so a
+    small disagreement counts only where the views agreed when the map got its height. `known` is the map before the
+    step; the other arguments are as in `shared`.
     """
     seen = np.isfinite(samples)
     count, values = seen.sum(axis=0, dtype=np.float32), np.where(seen, samples, np.float32(0))
@@ -120,7 +120,7 @@ def contradicted(samples: F32, known: ElevationMap, least: int, tuning: Consiste
 
 
 def _by_blocks(values: F32) -> F32:
-    """Return block means of cells (R, C), smoothed over AROUND blocks: (R / BLOCK, C / BLOCK), rounded up."""
+    """Return block means of cells (R, C), averaged over AROUND x AROUND blocks: (R / BLOCK, C / BLOCK), rounded up."""
     rows, cols = (-n % BLOCK for n in values.shape)
     means = block_mean(np.pad(values, ((0, rows), (0, cols))), BLOCK)
     return np.asarray(cv2.blur(means, (AROUND, AROUND)), np.float32)

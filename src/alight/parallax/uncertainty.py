@@ -28,9 +28,9 @@ class Pooled:
     """Statistics of a fit at half resolution; all arrays are (R / 2, C / 2)."""
 
     low: F32  # metres, lowest of 2 x 2 cells; the nearest known height where unknown
-    high: F32
+    high: F32  # metres, highest of 2 x 2 cells
     lowest: F32  # metres, lowest of the cells within `step_cells`
-    highest: F32
+    highest: F32  # metres, highest of these cells
     texture: F32  # variance of the template nearby: texture common to all views
     residual: F32  # share of the samples' variance that the views do not have in common, 0 to 1
     noise: F32  # mean residual variance
@@ -40,7 +40,7 @@ class Pooled:
 
 
 def pooled(fit: Fit, tuning: UncertaintyTuning) -> Pooled:
-    """Reduce a fit to half resolution: enough for means over neighbours, at a quarter of the cost."""
+    """Return the statistics of a fit at half resolution, which suffices for means over neighbours."""
     height, mean, noise, precision, per_px = (
         whole_blocks(a, 2) for a in (fit.height, fit.mean, fit.noise, fit.precision, fit.metres_per_px)
     )
@@ -60,10 +60,8 @@ def pooled(fit: Fit, tuning: UncertaintyTuning) -> Pooled:
 
 
 def _filled(height: F32) -> F32:
-    """Replace unknown heights (R, C) by the nearest known ones; R and C are even.
-
-    Any other value, such as the mean height of the map, would stand out as a step where the ground slopes.
-    """
+    """Return heights (R, C) with unknown ones replaced by the nearest known ones; R and C must be even."""
+    # any other value, such as the mean height of the map, would stand out as a step where the ground slopes
     known = np.isfinite(height)
     if known.all():
         return height
@@ -73,7 +71,7 @@ def _filled(height: F32) -> F32:
 
 
 def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32, by: SigmaCoefficients) -> F32:
-    """Return the variance of the relief that the windows smooth away, metres^2, by visible relief and noise."""
+    """Return the variance of the relief that windows smooth away, metres^2, by a model with the coefficients `by`."""
     fine, trend = (mid - cv2.GaussianBlur(mid, (0, 0), s) for s in (0.75, 1.5))
     rough, wide = uneven + _box(fine * fine, 3), cv2.GaussianBlur(trend * trend, (0, 0), 1.5)
     square = per_px * per_px
@@ -95,12 +93,11 @@ def half_resolution(values: F32) -> F32:
 
 
 def match_evidence(seen: Pooled, ratio: F32, slide: F32, near: int) -> dict[str, F32]:
-    """Return the evidence for a wrong match, at half resolution: dimensionless inputs of eq. 15, before the logarithm.
+    """Return the evidence for a wrong match at half resolution: the dimensionless inputs of eq. 15, by name.
 
-    The keys are: `ambiguity`, the mean best over second-best cost `ratio`; `residual`, the mean share of the variance
-    that the views do not share; `sigma`, the rms 1-sigma in parallax pixels; `drop` and `rise`, the height differences
-    to the lowest and highest neighbour in parallax pixels (the high side of a step is where windows smear); `slide`,
-    baseline over height. Means are taken over windows of `near` half-resolution cells.
+    `ambiguity` is the mean cost `ratio`, `residual` the mean share of the variance that the views do not have in
+    common, `sigma` the rms 1-sigma in parallax pixels, over `near` x `near` cells. `drop` and `rise` are the height
+    differences to the lowest and the highest neighbour in parallax pixels; `slide` is the baseline over the height.
     """
     return {
         "ambiguity": np.clip(_box(np.where(np.isfinite(ratio), ratio, np.float32(1)), near), 1e-2, 1e3),
@@ -115,7 +112,7 @@ def match_evidence(seen: Pooled, ratio: F32, slide: F32, near: int) -> dict[str,
 def outlier_probability(terms: dict[str, F32]) -> F32:
     """Return the probability that a height is wrong by more than a hundredth of the height above ground (eq. 15).
 
-    The log odds are linear in the logarithms of dimensionless `terms`, so they are valid for any camera and height.
+    The log odds are linear in the logarithms of the `terms` from `match_evidence`.
     """
     odds = {k: np.float32(v) for k, v in read_wrong_match().items()}
     score = sum((odds[k] * np.log(terms[k]) for k in terms), start=odds["constant"])
@@ -123,7 +120,7 @@ def outlier_probability(terms: dict[str, F32]) -> F32:
 
 
 def brightness(prepared: list[Prepared], grid: Grid, height: F32) -> F32:
-    """Return the views' mean grey level at half resolution, for heights (R / 2, C / 2); NaN where no view sees."""
+    """Return the mean grey level of the views at `height` (R / 2, C / 2), metres; NaN where no view sees the cell."""
     total, count = np.zeros(height.shape, np.float32), np.zeros(height.shape, np.float32)
     for p in prepared:
         grey = sample(p.grey, *maps(p, *grid.coarser(2).xy(), height))
@@ -142,9 +139,9 @@ def judged(
 
     Args:
         ratio: (R / 2, C / 2) best over second-best cost of the sweep.
-        lit: views whose grey levels show saturation.
+        lit: views whose grey levels are tested for saturation.
         searched: lowest and highest height of the search, metres.
-        sampling: (R, C) metres of ground per sample, returned with the heights, like the colours `rgb` (R, C, 3).
+        sampling, rgb: (R, C) metres of ground per sample, and (R, C, 3) colours, returned with the heights.
     """
     grid = fit.grid
     seen = pooled(fit, tuning)

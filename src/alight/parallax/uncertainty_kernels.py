@@ -17,7 +17,7 @@ MOST = np.float32(25)  # parallax pixels^2, largest variance
 
 @pixelwise
 def _fitted(noise: np.float32, precision: np.float32, per_px: np.float32) -> np.float32:
-    """Return noise over information in parallax pixels^2, at most `MOST`."""
+    """Return the variance `noise` / (`precision` `per_px`^2), parallax pixels^2, at most `MOST`."""
     v = noise / (precision * per_px * per_px + np.float32(1e-12))
     return v if v < MOST else MOST
 
@@ -73,10 +73,10 @@ def _pool_fit_row(n0: F32, n1: F32, p0: F32, p1: F32, per_px: F32, noise: F32, f
 
 @parallel_kernel
 def pool(h: F32, mean: F32, noise: F32, precision: F32, per_px: F32, fill: float, out: F32) -> None:
-    """Fill `out` (8, R / 2, C / 2) with statistics of 2 x 2 cells; R and C are even.
+    """Fill `out` (8, R / 2, C / 2) with statistics of 2 x 2 cells; R and C must be even.
 
     In this order: lowest, highest and mean height (`fill` replaces unknown heights); variance of the heights; mean and
-    mean square of the template (0 replaces unknown values); noise; noise over information in parallax pixels^2.
+    mean square of the template (0 replaces unknown values); noise; noise over precision in parallax pixels^2.
     """
     for r in prange(out.shape[1]):
         i, j = 2 * r, 2 * r + 1
@@ -115,9 +115,9 @@ def _judge_row(
 
 @parallel_kernel
 def height_sigma(h: F32, noise: F32, precision: F32, hidden2: F32, fit: float, out: F32) -> None:
-    """Fill the 1-sigma of each height, metres (eq. 14); NaN where the height or its information is missing.
+    """Write the 1-sigma of each height, metres (eq. 14); NaN where the height or its precision is missing.
 
-    Variance: `fit` times noise over information, plus `hidden2` (R / 2, C / 2), metres^2, for relief smoothed away.
+    The variance is `fit` noise / precision, plus `hidden2` (R / 2, C / 2), metres^2, of relief that is smoothed away.
     """
     for r in prange(h.shape[0]):
         _sigma_row(h[r], noise[r], precision[r], hidden2[r // 2], np.float32(fit), out[r])
@@ -128,10 +128,11 @@ def flag(
     near: U16, share: F32, h: F32, seen: U8, used: U8, sigma: F32, low: float, high: float,
     bits: tuple[int, int, int, int], residual: F32, flags: U16,
 ) -> None:  # fmt: skip
-    """Fill the flags of every cell: the flags `near` of its 2 x 2 cells, and its own flags.
+    """Write the flags of every cell: the flags `near` (R / 2, C / 2) of its 2 x 2 cells, and its own flags.
 
-    `bits`: the flags for unseen, inconsistent, seen by few views, and below `low` or above `high`. `residual` gets the
-    `share` of the 2 x 2 cells.
+    `bits` are the flags for cells that are unseen, inconsistent, seen by few views, and outside of `low` to `high`.
+    `seen` and `used` are the numbers of views that see the cell, and that agree. `residual` gets the `share` (R / 2, C
+    / 2).
     """
     for r in prange(h.shape[0]):
         _judge_row(
@@ -194,7 +195,8 @@ def _fuse_row(h: F32, s: F32, h0: F32, s0: F32, worse: np.float32, keep: F32) ->
 
 @kernel
 def _keep_row(keep: F32, new: F32, old: F32) -> None:
-    """Set `new` to `old` where `keep` is 1; apart from the heights, as loops over several types are not vectorised."""
+    """Set `new` to `old`, in place, where `keep` is 1."""
+    # not in the loop over heights, because loops over several types are not vectorised
     for c in range(new.size):
         new[c] = old[c] if keep[c] > ZERO else new[c]
 
@@ -204,10 +206,10 @@ def fuse(
     height: F32, sigma: F32, flags: U16, views: U8, residual: F32, sampling: F32,
     height0: F32, sigma0: F32, flags0: U16, views0: U8, residual0: F32, sampling0: F32, worse: float,
 ) -> None:  # fmt: skip
-    """Fuse a step (changed in place) with the map before it (arguments ending in 0) (eq. 16).
+    """Fuse the results of a step, in place, with the map before it, whose arrays are named with a 0 (eq. 16).
 
-    Heights that differ by more than three sigma are not averaged: the new one replaces the old. Steps see nearly the
-    same pictures, so sigma hardly falls. A step whose sigma is at least `worse` times the map's changes nothing.
+    If two heights differ by more than three sigma, the new one replaces the old. If the new sigma is at least `worse`
+    times the map's, the map's values are kept. Steps see nearly the same pictures, so sigma hardly falls.
     """
     for r in prange(height.shape[0]):
         keep = np.empty(height.shape[1], np.float32)

@@ -36,7 +36,7 @@ def _normalise_row(grey: F32, total: F32, total2: F32, share: np.float32, floor:
 def normalise(grey: F32, reach: int, floor: float, norm: F32) -> None:
     """Fill `norm` (H, W) with (grey level - local mean) / local standard deviation (eq. 5).
 
-    The deviation is at least `floor`. The window has 2 `reach` + 1 pixels; beyond the picture its border is repeated.
+    The deviation is at least `floor`. The window has 2 `reach` + 1 pixels a side; the picture's border is repeated.
     """
     rows, cols = grey.shape
     share = np.float32(1.0 / (2 * reach + 1) ** 2)
@@ -55,7 +55,7 @@ def normalise(grey: F32, reach: int, floor: float, norm: F32) -> None:
 
 @kernel
 def _reach_row(u: F32, place: F32, focal: np.float32, x: F32, north: np.float32, level: F32, box: F32) -> None:
-    """Add a view to `box` (7, C): bounds east, west, north, south, number and two smallest pixels of the views."""
+    """Add a view at `place` (3,) to `box` (7, C): four bounds of the centres, their number, and two smallest pixels."""
     for c in range(u.size):
         seen = u[c] >= ZERO
         box[0, c] = place[0] if seen & (place[0] > box[0, c]) else box[0, c]

@@ -26,7 +26,7 @@ LEAST_SIDE = 8  # pixels, least length of the shorter side of a picture that is 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """One view, prepared for one cell size."""
+    """One view, prepared for matching on cells of one size."""
 
     grey: F32  # (H, W) grey levels, smoothed to the cell size
     norm: F32  # (H, W) normalised: (grey - local mean) / local standard deviation
@@ -45,14 +45,14 @@ class Prepared:
 
 
 def tone_of(view: View) -> U8:
-    """Return the (256, 3) table from levels of a view to colours: its gain is corrected, so that views look alike."""
+    """Return the (256, 3) table from levels of a view to colours, corrected by its gain to make all views alike."""
     levels = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
     return levels if view.gain is None else np.rint(levels * view.gain).clip(0, 255).astype(np.uint8)
 
 
 @cache
 def border_rays(camera: Camera) -> F64:
-    """Return directions (N, 3) in the optical frame, with z = 1, along the border of a picture."""
+    """Return directions (N, 3) in the optical frame, with z = 1, along the border of a camera's picture."""
     w, h = camera.width - 1.0, camera.height - 1.0
     u, v = np.linspace(0, w, 17), np.linspace(0, h, 17)
     border = np.concatenate([np.c_[u, 0 * u], np.c_[u, 0 * u + h], np.c_[0 * v, v], np.c_[0 * v + w, v]])
@@ -61,7 +61,7 @@ def border_rays(camera: Camera) -> F64:
 
 @cache
 def radius2_limit(camera: Camera) -> float:
-    """Return the largest squared ideal radius along the border of the image, plus 2 %."""
+    """Return the largest squared radius, in undistorted coordinates, along the border of the image, plus 2 %."""
     return float((border_rays(camera)[:, :2] ** 2).sum(axis=1).max() * 1.02)
 
 
@@ -73,11 +73,8 @@ def ground_sampling(view: View, height: float) -> float:
 
 
 def halved(grey: F32, camera: Camera) -> tuple[F32, Camera]:
-    """Return an image at half the resolution, and its camera.
-
-    Pixels are means of 2 x 2 pixels; an odd last row or column is dropped. Otherwise the resized image would lie up to
-    half a pixel beside its camera.
-    """
+    """Return an image at half the resolution and its camera; an odd last row or column is dropped."""
+    # otherwise the resized image would lie up to half a pixel beside its camera
     rows, cols = (n // 2 for n in grey.shape)
     half = cv2.resize(grey[: 2 * rows, : 2 * cols], (cols, rows), interpolation=cv2.INTER_AREA)
     return np.asarray(half, np.float32), replace(camera.scaled(0.5), width=cols, height=rows)
@@ -86,7 +83,7 @@ def halved(grey: F32, camera: Camera) -> tuple[F32, Camera]:
 def prepare_view(view: View, cell: float, height: float) -> Prepared:
     """Smooth a view to the cell size and normalise it by local mean and standard deviation, so that gain cancels.
 
-    `height`: ground height, metres. If it is wrong and not below the camera, the picture keeps `LEAST_SIDE` pixels.
+    `height` is the ground height, metres; even if it is wrong, the shorter side keeps `LEAST_SIDE` pixels.
     """
     grey, camera = grey_levels(view.image).astype(np.float32), view.camera
     ratio = min(cell / ground_sampling(view, height), max(min(grey.shape) / LEAST_SIDE, 1.0))
@@ -116,7 +113,7 @@ def _normalised(grey: F32, ratio: float) -> F32:
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """A view and its prepared pictures at several resolutions."""
+    """A view with its prepared pictures at several resolutions."""
 
     view: View
     levels: list[Prepared]  # for the cells of the map, for twice their size, ...; each is made at its first use
@@ -132,7 +129,7 @@ class Kept:
         return self.levels[0]
 
     def halved(self, times: int) -> Prepared:
-        """Return the prepared view with its picture halved `times` times, for cells larger by the same factor."""
+        """Return the view prepared for cells that are larger by 2 ** `times`, with the picture halved `times` times."""
         while len(self.levels) <= times:
             fine = self.levels[-1]
             grey, camera = halved(fine.grey, fine.camera)
@@ -146,13 +143,13 @@ class Kept:
 
 
 class Buffers:
-    """Arrays that are reused from step to step, because the system allocates new memory slowly, page by page."""
+    """Named arrays that are reused from step to step, because the system allocates new memory slowly."""
 
     def __init__(self) -> None:
         self._flat: dict[str, NDArray[Any]] = {}
 
     def get(self, name: str, shape: tuple[int, ...], dtype: type[np.generic] = np.float32) -> NDArray[Any]:
-        """Return the array of this name and shape, with undefined content; what it held before is lost."""
+        """Return the array of this name and shape, with undefined content; its earlier content is lost."""
         size = math.prod(shape)
         if name not in self._flat or self._flat[name].size < size:
             self._flat[name] = np.empty(size + size // 8, dtype)
@@ -194,7 +191,7 @@ def maps(p: Prepared, xs: F64, ys: F64, h: F32, buffers: Buffers | None = None) 
 def sample(
     image: NDArray[np.float32], mapx: F32, mapy: F32, out: F32 | None = None, how: int = cv2.INTER_LINEAR
 ) -> F32:
-    """Sample an image at pixel columns `mapx` and rows `mapy` (R, C); NaN outside the image."""
+    """Sample an image at pixel columns `mapx`, rows `mapy` (R, C) by OpenCV's interpolation `how`; NaN outside."""
     return np.asarray(cv2.remap(image, mapx, mapy, how, dst=out, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan))
 
 
@@ -208,7 +205,7 @@ def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None 
 
 
 def inside_picture(camera: Camera, points_cam: F64) -> Mask:
-    """Return which points (N, 3), in the optical frame, lie in front of the camera and inside its picture."""
+    """Return a mask of points (N, 3), in the optical frame, that lie in front of the camera and in its picture."""
     uv = camera.project(points_cam)
     inside = (uv >= 0).all(axis=1) & (uv[:, 0] <= camera.width - 1) & (uv[:, 1] <= camera.height - 1)
     return np.asarray(inside & (points_cam[:, 2] > 0))
@@ -217,10 +214,10 @@ def inside_picture(camera: Camera, points_cam: F64) -> Mask:
 def may_see(views: Sequence[View], grid: Grid, low: float, high: float) -> list[int]:
     """Return the indices of views that may see part of a grid between heights `low` and `high`, metres.
 
-    No view that sees the grid is missing; some that do not see it are included. The cone about each picture is tested
-    against the sphere about the ground, for all views at once: with thousands of photos, most are far from a tile. The
-    cone is widened by a microradian, so that rounding never loses a view.
+    No view that sees the grid is missing; some that do not see it are included.
     """
+    # the cone around each picture is tested against the sphere around the ground, for all views at once: with thousands
+    # of photos, most are far from a tile
     if not views:
         return []
     x, y = grid.xy()
@@ -236,10 +233,9 @@ def may_see(views: Sequence[View], grid: Grid, low: float, high: float) -> list[
 
 
 def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, max_tangent: float) -> list[int]:
-    """Choose up to `count` views of a grid: every part seen often, over a wide and even baseline; return their indices.
+    """Return the indices of up to `count` views that see each part of a grid often, over wide and even baselines.
 
-    Greedy: the next view is the one that adds most to cells with few views, weighted by its distance to the views
-    already chosen. Views flatter than `max_tangent` (horizontal over vertical distance) have a quarter of the weight.
+    Views flatter than `max_tangent` (horizontal over vertical distance) weigh less; `height`: of the ground, metres.
     """
     if not views:
         return []
@@ -272,7 +268,7 @@ def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, m
 
 
 def colour_at(view: View, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
-    """Return the colours (R, C, 3) of a view at pixels of its prepared image, corrected by its gain."""
+    """Return the gain-corrected colours (R, C, 3) of a view at columns `mapx` and rows `mapy` of its prepared image."""
     picture = np.asarray(view.image)
     rgb = picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
     scale = np.float32(view.camera.fu / prepared.camera.fu)

@@ -16,7 +16,7 @@ CENTRE = REACH * STRIDE + REACH  # elements from the upper left neighbour to the
 
 @kernel
 def _known_row(h: F32, precision: F32, noise: F32, spread: F32, height: F32, trust: F32) -> None:
-    """Fill a row with the heights and their weights as neighbours; both are 0 where unknown."""
+    """Write a row of heights and their weights as neighbours to `height` and `trust`; both are 0 where unknown."""
     for c in range(h.size):
         known = h[c] == h[c]
         information = precision[c] / (precision[c] + noise[c] / (spread[c] * spread[c]) + np.float32(1e-12))
@@ -26,7 +26,7 @@ def _known_row(h: F32, precision: F32, noise: F32, spread: F32, height: F32, tru
 
 @pixelwise
 def _pair(height: F32, trust: F32, i: int, off: int, here: np.float32, inverse: np.float32, sums: Two) -> Two:
-    """Add the pair of neighbours `off` elements after and before the cell, weighted by trust and midpoint height."""
+    """Add the neighbours `off` elements before and after the cell to the sums of weight and weighted height."""
     ahead, behind = i + np.uintp(CENTRE) + off, i + np.uintp(CENTRE) - off
     above = np.float32(0.5) * (height[ahead] + height[behind]) - here
     high = above * inverse
@@ -38,11 +38,9 @@ def _pair(height: F32, trust: F32, i: int, off: int, here: np.float32, inverse: 
 
 @kernel
 def _pairs_row(height: F32, trust: F32, inverse: F32, sw: F32, sh: F32) -> None:
-    """Sum sixteen pairs of each cell of a row; of 7 x 7 neighbours, these smooth as well as all twenty-four pairs.
-
-    `height` and `trust` have rows of `STRIDE`, from the upper left neighbour on. Unrolled, unsigned and with a constant
-    stride, it is three times as fast as a loop over pairs.
-    """
+    """Write the sums of `_pair` over sixteen pairs of neighbours per cell; inputs begin at the upper left neighbour."""
+    # rows of `STRIDE`. These pairs smooth as well as all twenty-four of 7 x 7 neighbours. Unrolled, unsigned and with a
+    # constant stride, it is three times as fast as a loop
     for c in range(inverse.size):
         i, sums = np.uintp(c), (ZERO, ZERO)
         here, inv = height[i + np.uintp(CENTRE)], inverse[c]
@@ -78,11 +76,11 @@ def _pull_row(
 
 @parallel_kernel
 def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, out: F32) -> None:
-    """Pull each height towards the planes of its neighbours (eq. 12); unknown heights stay NaN and are not used.
+    """Write heights pulled towards the planes of their neighbours to `out` (eq. 12); unknown heights stay NaN.
 
-    On a plane, the midpoint between two opposite neighbours is the height, whatever the slope. `spread` is the parallax
-    pixel, metres: the pull is measured in parallax pixels, so that `strength` means the same at any height.
+    `spread` is the parallax pixel, metres: the pull is measured in it, so that `strength` means the same at any height.
     """
+    # on a plane, the midpoint between two opposite neighbours is the height, whatever the slope
     rows, cols = h.shape
     for band in prange((rows + BAND - 1) // BAND):
         first, end = band * BAND, min(rows, band * BAND + BAND)
@@ -126,10 +124,10 @@ def visibility(
     """Fill `visible` (N, P, Q) with 1 where the ray from a cell to camera i stays above the map, else 0 (eq. 13).
 
     Args:
-        tops: for each block of `block` x `block` cells, the highest height that a ray from it can meet, metres: the
-            march ends once the ray is higher, and on open ground it does not begin.
+        h: heights of the map, metres, NaN = unknown.
+        tops: for each block of `block` x `block` cells, the highest height that a ray from it can meet, metres.
         margin: (P, Q) metres by which the map may rise above a ray.
-        top_row, left_col: first of the P x Q cells in the map.
+        top_row, left_col: row and column of the map at which the P x Q cells begin.
     """
     n, high, wide = visible.shape
     rows, cols = h.shape

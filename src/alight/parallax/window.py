@@ -38,7 +38,7 @@ class Refined(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Input shared by all rectangles of one step."""
+    """Input shared by all rectangles that one step refines."""
 
     settings: ParallaxSettings
     buffers: Buffers  # arrays that are reused
@@ -49,8 +49,8 @@ class Window:
     ratio: F32  # (R, C) best over second-best cost of the last sweep; NaN: to be swept again
     searched: tuple[float, float]  # metres, lowest and highest height
     drop: float  # metres, height of the newest camera above the ground
-    nearly: NDArray[np.intp]  # (N,) for each view, the first view of its exposure within `BESIDE`
-    apart: NDArray[np.intp]  # (N,) for each view, the first view of its exposure within `APART`
+    nearly: NDArray[np.intp]  # (N,) for each view, index of the first view of its exposure within `BESIDE`
+    apart: NDArray[np.intp]  # (N,) for each view, index of the first view of its exposure within `APART`
 
     def views_of(self, where: Box) -> NDArray[np.intp]:
         """Return the indices of the views that see any part of a rectangle."""
@@ -102,7 +102,7 @@ class Window:
         return Refined(found.part(inner), anew[inner], doubt.came[inner])
 
     def _coloured(self, grid: Grid, height: F32, known: ElevationMap, recolour: bool) -> U8:
-        """Return the map's colours, renewed by the newest view just below it and where there was no colour."""
+        """Return the map's colours, renewed by the newest view: below it, and where colours are missing or coarse."""
         view, fine = self.kept[-1].view, self.kept[-1].fine
         out = known.rgb.copy()
         row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
@@ -123,7 +123,7 @@ class Window:
 
 
 def wider(where: Box, shape: tuple[int, int]) -> Box:
-    """Return the rectangle widened by `HALO` cells, inside a window of `shape`, starting at even cells."""
+    """Return a rectangle widened by `HALO` cells, inside a window of `shape`; it starts at an even row and column."""
     r, c = (slice(max(0, s.start - HALO) & ~1, min(n, s.stop + HALO)) for s, n in zip(where, shape, strict=True))
     return r, c
 
@@ -135,9 +135,9 @@ def within(inner: Box, outer: Box) -> Box:
 
 
 def first_of_twins(kept: list[Kept], within: float) -> NDArray[np.intp]:
-    """Return, for each view (N,), the index of the first view of its exposure that sees nearly the same.
+    """Return (N,) indices: for each view, the first view of the same exposure that sees nearly the same.
 
-    Such a view lies at most `within` metres away and has the same direction and camera model.
+    That view is less than `within` metres away, with nearly the same direction and focal length.
     """
     out = list[int]()
     for i, of in enumerate(kept):
@@ -146,7 +146,7 @@ def first_of_twins(kept: list[Kept], within: float) -> NDArray[np.intp]:
 
 
 def _are_twins(a: Kept, b: Kept, within: float) -> bool:
-    """Whether two views are of one exposure, from nearly one position and direction, by one camera model."""
+    """Whether two views of one exposure are within `within` metres, with similar direction and focal length."""
     if a.view.t_ns != b.view.t_ns or np.linalg.norm(a.view.centre - b.view.centre) >= within:
         return False
     axes, k, m = [v.view.world_from_cam.rotation[:, 2] for v in (a, b)], a.fine.camera, b.fine.camera
@@ -155,11 +155,8 @@ def _are_twins(a: Kept, b: Kept, within: float) -> bool:
 
 
 def bridged(start: F32, wanted: Mask) -> F32:
-    """Fill narrow gaps that are `wanted` in the initial heights from the heights beside them.
-
-    A sweep at the rim of the pictures often fails, and the next one has to wait for twice the baseline. If the gaps
-    were left, the rims of earlier steps would stay in the map as seams, one cell wide, that no touchdown may cross.
-    """
+    """Fill narrow gaps in the initial heights `start` from the heights beside them, where `wanted`."""
+    # sweeps at the rim of the pictures often fail: seams, one cell wide, would stay there that no touchdown may cross
     known = np.isfinite(start)
     gaps = wanted & ~known
     if gaps.any():
@@ -170,11 +167,7 @@ def bridged(start: F32, wanted: Mask) -> F32:
 
 
 def fused(new: Heights, old: ElevationMap, worse: float) -> Heights:
-    """Fuse a step with the map (eq. 16).
-
-    Heights that differ by more than three sigma are not averaged: the new height replaces the old one. Where the new
-    sigma is at least `worse` times the old one, at the edge of the pictures, the map stays as it is.
-    """
+    """Return the heights of a step fused with the map `old` (eq. 16); `worse` is as in `uncertainty_kernels.fuse`."""
     out = replace(new, height=new.height.copy(), views=new.views.copy())  # the rest is not held in buffers
     rasters = ("height", "sigma", "flags", "views", "residual", "sampling")
     kernels.fuse(*(getattr(out, k) for k in rasters), *(getattr(old, k) for k in rasters), worse)

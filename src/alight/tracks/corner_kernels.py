@@ -22,11 +22,9 @@ def _mirror(i: int, n: int) -> int:
 
 @kernel
 def _copy_box(image: U8, top: int, left: int, rows: int, cols: int, grey: F32) -> None:
-    """Copy a rectangle of the image, row by row.
-
-    Single precision holds products of gradients exactly, and the compiler would make integers twice as wide. The loops
-    that follow run over all rows at once, because loops over one row are too short to be vectorised.
-    """
+    """Copy a rectangle of the image, row by row, to the flat array `grey`."""
+    # single precision holds products of gradients exactly, and the compiler would make integers twice as wide. Flat,
+    # because loops over one row are too short to be vectorised
     for r in range(rows):
         line, out = image[top + r, left : left + cols], grey[r * cols : (r + 1) * cols]
         for c in range(cols):
@@ -50,9 +48,9 @@ def _mirrored_products(image: U8, top: int, left: int, window: int, xx: F32, xy:
 
 @kernel
 def _gradient_products(grey: F32, count: int, cols: int, xx: F32, xy: F32, yy: F32) -> None:
-    """Write the products of the Sobel gradients for `count` pixels, each one row and one column on.
+    """Write the products of the Sobel gradients for `count` pixels of a flat image with `cols` columns.
 
-    The last two columns of each row mix two rows; they hold nothing of use.
+    Product i belongs to the pixel one row below and one column right of pixel i; it is invalid in the last two columns.
     """
     above, here, below = grey, grey[cols:], grey[2 * cols :]
     for i in range(count):
@@ -72,10 +70,10 @@ def _weighted_sum(values: F32, weights: F32, count: int) -> float:
 
 @kernel
 def corner_responses(image: U8, pixels: F32, window: int, out: F64) -> None:
-    """Write the Shi-Tomasi response per pixel of the window about each pixel; the image is mirrored at its edge.
+    """Write the Shi-Tomasi response of the window around each pixel, divided by the window's area.
 
     Args:
-        image: (H, W) grey.
+        image: (H, W) grey, mirrored at its edge.
         pixels: (N, 2) column and row; pixels outside the image are moved to its edge.
         window: side of the window, px.
         out: (N,) responses, for a grey range of 1.
@@ -102,7 +100,7 @@ def corner_responses(image: U8, pixels: F32, window: int, out: F64) -> None:
 
 @kernel
 def _box_sums(values: F32, count: int, cols: int, window: int, sums: F32) -> None:
-    """Sum values over the window that begins at each of the first `count` pixels, in place."""
+    """Replace values of a flat image with `cols` columns by sums over the window that begins there; `sums`: scratch."""
     for i in range(count):
         sums[i] = values[i]
     for v in range(1, window):
@@ -129,14 +127,14 @@ def _responses(xx: F32, xy: F32, yy: F32, count: int, unit: float, out: F32) -> 
 
 @kernel
 def strongest_corners(image: U8, boxes: I64, taken: F32, away: float, half: int, out: F64) -> None:
-    """Find the strongest corner of every box, at a distance from the present features.
+    """Write, for every box, the strongest corner that keeps the distance `away` from the present features.
 
     Args:
         image: (H, W) grey.
-        boxes: (E, 4) first row, end row, first column, end column; at least `half` + 1 inside the image.
+        boxes: (E, 4) first row, end row, first column, end column; at least `half` + 1 px inside the image.
         taken: (M, 2) pixels of the present features.
         away: smallest distance of a corner from these features, px.
-        half: half of the window over which the response is summed, without the middle pixel.
+        half: pixels on either side of a pixel over which its response is summed.
         out: (E, 3) column, row, Shi-Tomasi response per pixel; the response is negative where there is no corner.
     """
     window, side = 2 * half + 1, 0
@@ -190,7 +188,7 @@ def ray_at(table: F64, x: float, y: float, ray: F64) -> None:
 
 @kernel
 def interpolate_rays(table: F64, pixels: F64, out: F64) -> None:
-    """Interpolate a table by `ray_at` at (N, 2) positions (column, row); NaN stays NaN."""
+    """Interpolate a table (R, C, 2) by `ray_at` at (N, 2) positions (column, row); NaN stays NaN."""
     for k in range(pixels.shape[0]):
         if not (np.isfinite(pixels[k, 0]) and np.isfinite(pixels[k, 1])):
             out[k] = np.nan

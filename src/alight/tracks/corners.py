@@ -12,14 +12,14 @@ BORDER = 4  # px; nearer to the edge, the SSD window extends beyond the image
 
 
 def corner_response(image: U8, pixels: F32, window_px: int) -> F64:
-    """Return the (N,) Shi-Tomasi response per pixel of the SSD window: it measures how sharp the SSD minimum is."""
+    """Return the (N,) Shi-Tomasi response of the window around each pixel (N, 2), divided by the window's area."""
     out = np.empty(len(pixels))
     corner_responses(image, np.asarray(pixels, dtype=np.float32), window_px, out)
     return out
 
 
 def oldest_per_cell(ids: I64, pixels: F32, good: Mask, cell: float, most: int) -> Mask:
-    """Return a mask (N,) of the `most` oldest good features of every cell: tracks that converge add only cost."""
+    """Return a mask (N,) of the `most` oldest good features per cell of `cell` px; `ids` must be ascending."""
     keep, at = np.zeros(len(ids), bool), np.flatnonzero(good)
     column, row = np.floor(np.nan_to_num(pixels[at]) / cell).astype(np.int64).T
     key = row * 100_000 + column
@@ -37,7 +37,7 @@ def detect_corners(image: U8, taken: F32, cell: float, texture: float, border: i
         image: smoothed image.
         taken: (K, 2) pixels of the present features; new ones keep a distance of 0.7 cells from them.
         cell: side of a cell, px.
-        texture: smallest response.
+        texture: least response of a corner.
         border: width of the border without corners, px; it is never less than 2 `BORDER`.
     """
     height, width = image.shape

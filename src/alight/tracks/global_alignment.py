@@ -15,12 +15,10 @@ TURNS = tuple(np.radians(np.arange(0.0, 360.0, 15.0)).tolist())  # rad about the
 def warp_affine(image: U8, pixels: F32, predicted: F32) -> tuple[U8, F32]:
     """Warp an earlier image to the predicted present view by one affine map (M1b).
 
-    The SSD window is only shifted: at 0.03 rad per frame its matches drift by 0.17 px in five frames, with the warp by
-    0.014 px.
-
     Returns:
         The image and the (N, 2) pixels of the features in it; both unchanged if there are too few features.
     """
+    # matching only shifts its window: at 0.03 rad per frame, matches drift by 0.17 px in five frames (warped: 0.014 px)
     if len(pixels) < 12:
         return image, pixels
     ones = np.column_stack([pixels, np.ones(len(pixels))]).astype(np.float64)
@@ -31,11 +29,9 @@ def warp_affine(image: U8, pixels: F32, predicted: F32) -> tuple[U8, F32]:
 
 
 def match_brightness(image: U8, other: U8, settings: TracksSettings) -> U8:
-    """Adapt an image to the brightness and contrast of another image of the same ground (M1d).
-
-    The SSD does not model exposure: a step of 20 % between two images caused an error of 0.4 px, a step of 50 % the
-    loss of nine of ten features. Small differences are not corrected: they come from ground that only one image shows.
-    """
+    """Return the image with the brightness and contrast of `other`, an image of the same ground (M1d)."""
+    # the SSD does not model exposure: a step of 20 % between two images caused an error of 0.4 px, a step of 50 % the
+    # loss of nine of ten features. Small differences come from ground that only one image shows
     a, b = (i[::4, ::4].astype(np.float32) for i in (image, other))
     most = settings.most_gain
     gain = float(np.clip(b.std() / max(float(a.std()), 1e-3), 1.0 / most, most))
@@ -47,7 +43,8 @@ def match_brightness(image: U8, other: U8, settings: TracksSettings) -> U8:
 
 
 def common_shift(then: U8, now: U8, pixels: F32, predicted: F32, reach_px: int, least_overlap: float) -> F32:
-    """Return the (2,) common error of all predicted pixels, px: one degree of tilt is 34 px, beyond the search."""
+    """Return the (2,) shift, px, that corrects all `predicted` pixels (N, 2); 0 if the images overlap too little."""
+    # one degree of tilt is 34 px, beyond the search of single features
     a, b = downsampled(then), downsampled(now)
     k = downsampling_factor(now)
     warped, valid = _warped(a, b, _affine_of(pixels, predicted, k))
@@ -64,14 +61,14 @@ def common_shift(then: U8, now: U8, pixels: F32, predicted: F32, reach_px: int, 
 def likely_turns(now_from_then: Pose | None, covariance: F64 | None, sigmas: float) -> tuple[float, ...]:
     """Return the turns about the optical axis, rad, that a predicted motion of camera 0 leaves possible.
 
-    Without a prediction or covariance, all `TURNS` are returned. The lines of a car park look the same after half a
-    turn, so turns that the gyros exclude are not tried.
+    Without a prediction or covariance, all `TURNS` are returned.
 
     Args:
         now_from_then: predicted motion.
         covariance: (6, 6) covariance of the prediction, rotation first.
         sigmas: largest error of the predicted turn, in standard deviations.
     """
+    # the lines of a car park look the same after half a turn, so turns that the gyros exclude are not tried
     if now_from_then is None or covariance is None:
         return TURNS
     R, reach = now_from_then.rotation, sigmas * float(np.sqrt(covariance[2, 2]))
@@ -80,10 +77,10 @@ def likely_turns(now_from_then: Pose | None, covariance: F64 | None, sigmas: flo
 
 
 def relocate(then: U8, now: U8, pixels: F32, turns: tuple[float, ...]) -> F32:
-    """Find pixels (N, 2) of one image in another without a prediction: rotated about the optical axis and shifted.
+    """Return where pixels (N, 2) of image `then` lie in image `now`, which differs by an unknown turn and shift.
 
-    The downsampled images are phase correlated (Kuglin and Hines 1975) for each rotation of `turns` in rad; the
-    rotation with the highest peak is used.
+    The downsampled images are phase correlated (Kuglin and Hines 1975) for each of the `turns` about the optical axis,
+    rad; the turn with the highest peak is used.
     """
     middle = (np.array([then.shape[1], then.shape[0]], np.float64) - 1.0) / 2.0
     k, a, b = downsampling_factor(now), downsampled(then), downsampled(now)
@@ -111,28 +108,28 @@ def downsampling_factor(image: U8) -> int:
 
 
 def downsampled(image: U8) -> U8:
-    """Return the image, downsampled by `downsampling_factor`."""
+    """Return the image downsampled by `downsampling_factor`."""
     k = 1.0 / downsampling_factor(image)
     return np.asarray(cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA))
 
 
 def _affine_of(pixels: F32, predicted: F32, factor: int) -> F64:
-    """Return the affine map (2, 3) between downsampled images from `pixels` to `predicted`, (N, 2) of full size."""
+    """Return the affine map (2, 3) of images downsampled by `factor` that fits `pixels` to `predicted` (full size)."""
     a, b = ((x.astype(np.float64) + 0.5) / factor - 0.5 for x in (pixels, predicted))
     return np.asarray(np.linalg.lstsq(np.column_stack([a, np.ones(len(a))]), b, rcond=None)[0].T)
 
 
 def _warped(then: U8, now: U8, affine: F64) -> tuple[U8, Mask]:
-    """Warp a downsampled image to the size of `now` by an affine map (2, 3); also return the mask of valid pixels."""
+    """Return the image `then`, warped by an affine map (2, 3) to the size of `now`, and the mask of valid pixels."""
     size = (now.shape[1], now.shape[0])
     valid = cv2.warpAffine(np.ones_like(then), affine, size, flags=cv2.INTER_NEAREST) > 0
     return np.asarray(cv2.warpAffine(then, affine, size)), np.asarray(valid)
 
 
 def image_correlation(then: U8, now: U8, pixels: F32, predicted: F32, factor: int, least_overlap: float) -> float:
-    """Return the correlation of downsampled images, aligned by the affine map from `pixels` to `predicted` (full size).
+    """Return the correlation of two downsampled images, after the affine map from `pixels` to `predicted` (full size).
 
-    It is -1 if the overlap is too small.
+    It is -1 if less than the share `least_overlap` of the image overlaps.
     """
     warped, valid = _warped(then, now, _affine_of(pixels, predicted, factor))
     if valid.mean() < least_overlap:

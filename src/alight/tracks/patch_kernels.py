@@ -17,12 +17,12 @@ _MIN_DESCENT = 0.2  # cosine; shallower rays meet a plane across the axis instea
 def _sample_patch(
     patch: U8, x: float, y: float, warp: F64, half: int, at: I32, shares: F32, corners: U8, out: F32
 ) -> bool:
-    """Sample a warped patch bilinearly, `half` px around (x, y); return False if the patch is too small.
+    """Sample a patch in a warped window, `half` px around (x, y); return False if the patch is too small.
 
-    Addresses, grey levels and interpolation have separate loops, because the first and the last one are then
-    vectorised, which halves the time. `out` (S,) is row by row, S = (2 half + 1)^2; `at`, `shares` (2, S), `corners`
-    (4, S) are scratch.
+    `out` (S,) is row by row, S = (2 half + 1)^2; `at`, `shares` (2, S) and `corners` (4, S) are scratch.
     """
+    # addresses, grey levels and interpolation have separate loops, because the first and the last one are then
+    # vectorised, which halves the time
     rows, cols = patch.shape
     wide = half * (abs(warp[0, 0]) + abs(warp[0, 1]))
     high = half * (abs(warp[1, 0]) + abs(warp[1, 1]))
@@ -54,10 +54,10 @@ def _sample_patch(
 
 @sum_kernel
 def _normalise_patch(lay: F32, m: int, grey: F32, gx: F32, gy: F32, sums: F64) -> None:
-    """Write a patch (S,) and its gradients less their means, row by row and followed by zeros.
+    """Write the grey levels of a window of side `m`, and their gradients, minus their means, row by row.
 
-    `lay` is the window of side `m` with one pixel around it. `sums` (6,) gets the products xx, xy, yy of the gradients,
-    the square of the patch, and the products of the x and y gradient with the patch.
+    `lay` is the window with one pixel around it. `sums` (6,) gets the products xx, xy, yy of the gradients, the square
+    of the grey levels, and the products of the x and y gradient with the grey levels.
     """
     mean, mx, my, count, wide = _ZERO, _ZERO, _ZERO, m * m, m + 2
     for r in range(m):
@@ -91,10 +91,10 @@ def _normalise_patch(lay: F32, m: int, grey: F32, gx: F32, gy: F32, sums: F64) -
 def _gauss_newton_step(
     image: U8, x: float, y: float, m: int, grey: F32, gx: F32, gy: F32, value: F32, sums: F64, step: F64
 ) -> float:
-    """Write one Gauss-Newton step over shift, gain and offset of brightness; return the correlation before the step.
+    """Write the Gauss-Newton step (2,) of a shift from (x, y); return the correlation before it, -1 for low contrast.
 
-    -1 is returned for too little contrast. `value` (S,) is scratch with zeros behind the window; S is a multiple of the
-    vector length, so that the sums need no remainder.
+    `grey`, `gx`, `gy` and `sums` are from `_normalise_patch`. `value` is scratch with zeros behind the window, so that
+    its size is a multiple of the vector length.
     """
     half = m // 2
     top, left = int(y) - half, int(x) - half
@@ -138,11 +138,11 @@ def align_patches(
         patches: (M, S, T) grey, cut from earlier images, or whole images.
         slots: (N,) index of the patch of each feature.
         places: (N, 2) column and row of each feature in its patch.
-        warps: (N, 2, 2) derivative of pixels of the patch by pixels of the image.
+        warps: (N, 2, 2) derivative of pixels of the patch with respect to pixels of the image.
         image: (H, W) grey.
         m: side of the window, px, odd.
-        stop: largest last step, px.
-        rounds: largest number of steps; without a last step below `stop` there is no match.
+        stop: a step shorter than this ends the alignment, px.
+        rounds: largest number of steps; if none is shorter than `stop`, there is no match.
         found: (N, 2) initial pixels; replaced by the aligned pixels.
         fit: (N,) out, correlation; -1 = no match.
     """
@@ -182,16 +182,16 @@ def align_patches(
 def warp_patches(
     pixels: F64, table: F64, R: F64, t: F64, views: I64, up: F64, depth: float, there: F64, other: F64, out: F64
 ) -> None:
-    """Write the (N, 2, 2) derivative of pixels in other views by pixels in this view, for level ground around features.
+    """Write the (N, 2, 2) derivative of pixels in other views with respect to pixels in this view, for level ground.
 
     Args:
         pixels: (N, 2) pixels in this view.
-        table, other: ray tables of the lenses of this view and the other views, see `ray_at`; pixel (0, 0) is at (1,
-            1).
+        table, other: ray tables (see `ray_at`) of the lenses of this and of the other views; pixel (0, 0) is at (1, 1).
         R, t: (V, 3, 3), (V, 3) other_from_here.
         views: (N,) index of the other view of each feature.
         up: (3,) unit vector upwards in this view.
-        depth: depth of the ground along the axis, m; in a view that is too oblique the plane is across the axis.
+        depth: depth of the ground along the optical axis, m. If this view is too oblique, a plane perpendicular to the
+            axis replaces the ground.
         there: (N, 2) pixels in the other views.
         out: (N, 2, 2).
     """

@@ -18,16 +18,13 @@ STEPS = 0.01, 12  # px, largest last step of an alignment; largest number of ste
 
 
 def smooth_image(image: U8) -> U8:
-    """Return the smoothed image from which patches are cut, and in which they are located.
-
-    Without smoothing, linear interpolation biases matches towards whole pixels (M1e).
-    """
+    """Return the image, smoothed so that linear interpolation does not bias matches towards whole pixels (M1e)."""
     return np.asarray(cv2.GaussianBlur(image, (3, 3), 0.7))
 
 
 @dataclass(frozen=True, eq=False)
 class FeaturePatches:
-    """Appearance of N features."""
+    """Grey-level patches of N features, by which they are found in later images."""
 
     ids: I64  # (N,) ascending
     grey: U8  # (M, S, T) patches, or whole images
@@ -39,14 +36,14 @@ class FeaturePatches:
 
     @classmethod
     def none(cls, window: int) -> FeaturePatches:
-        """Return an empty set of patches for a window of `window` px; 9 px around it are for rotation and scale."""
+        """Return an empty set of patches of `window` px, with 9 px around them for rotation and scale."""
         side, empty = window + 2 * 9, np.empty(0, np.int64)
         pixels, R, t = (np.empty((0, *shape)) for shape in ((2,), (3, 3), (3,)))
         return cls(empty, np.empty((0, side, side), np.uint8), empty, pixels, pixels, R, t)
 
     @classmethod
     def whole(cls, image: U8, ids: I64, pixels: F64, window: int) -> FeaturePatches:
-        """Use a whole smoothed image as the patch of its features; nothing is copied.
+        """Return patches for features of a smoothed image; all share the whole image, which is not copied.
 
         Features too close to the edge of the image get no patch. The frame of the camera is used as world.
         """
@@ -95,7 +92,7 @@ class FeaturePatches:
         )
 
     def warps(self, own: Lens, pixels: F64, lens: Lens, pose: Pose, up: F64, depth: F64) -> F64:
-        """Return the (N, 2, 2) derivative of the pixels of these patches by the pixels of another view.
+        """Return the (N, 2, 2) derivative of the pixels of these patches with respect to the pixels of another view.
 
         The ground is assumed to be a level plane at the median depth of all features.
 
@@ -105,7 +102,7 @@ class FeaturePatches:
             lens: lens of the other view.
             pose: world_from_cam of the other view.
             up: (3,) unit vector upwards in the other camera.
-            depth: (M,) depth of all features along its optical axis, m, NaN = unknown.
+            depth: (M,) depth of all features in the other camera, m, NaN = unknown.
         """
         own_from_world, out = self.R.transpose(0, 2, 1), np.empty((len(pixels), 2, 2))
         off = own_from_world @ (pose.translation - self.t)[..., None]
@@ -123,9 +120,9 @@ class FeaturePatches:
         Args:
             image: smoothed image.
             start: (N, 2) pixels where the search starts.
-            warp: (N, 2, 2) derivative of pixels of the patch by pixels of the image.
+            warp: (N, 2, 2) derivative of pixels of the patch with respect to pixels of the image.
             settings: least correlation, and largest distance from the start.
-            reach: (N,) largest distance from the start, px, instead of that of the settings.
+            reach: (N,) largest distance from the start, px; None: that of the settings.
 
         Returns:
             (N, 2) pixels, the start where a patch was not found; (N,) mask of the patches found.
@@ -143,11 +140,11 @@ def follow_patches(then: U8, now: U8, pixels: F64, start: F32, settings: TracksS
     """Follow features from one smoothed image to the next by patches of both images, forward and backward.
 
     Args:
-        pixels: (N, 2) pixels in the earlier image.
-        start: (N, 2) pixels in the later image where the search starts.
+        pixels: (N, 2) pixels in the image `then`.
+        start: (N, 2) pixels in the image `now` where the search starts.
 
     Returns:
-        (N, 2) pixels in the later image; (N,) mask of the features found in both directions.
+        (N, 2) pixels in the image `now`; (N,) mask of the features found in both directions.
     """
     zero, upright, fit = np.zeros(len(pixels), np.int64), np.tile(np.eye(2), (len(pixels), 1, 1)), np.empty(len(pixels))
     numbers = settings.window_px | 1, *STEPS

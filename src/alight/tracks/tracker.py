@@ -135,11 +135,11 @@ class Tracker:
         return _Found(m.ids[good], pixels[good], depth[good], anchored[good])
 
     def _is_close(self, cam: int) -> bool:
-        """Whether the last predictions were so good that patches are found directly from the predicted pixels."""
+        """Whether the last predictions for camera `cam` were good enough to find patches directly from them."""
         return self._prediction_error[cam] < self._settings.close_px
 
     def _align_in_time(self, m: _Exposure, soft: U8, predicted: PredictedPixels, pose: Pose) -> tuple[F32, Mask, Mask]:
-        """Align features from their predicted pixels by patches alone: by their own, else by those of the last image.
+        """Align features of the last exposure `m`: by their own patches, else by patches of the last image.
 
         Return the (N, 2) pixels, the (N,) mask of features found, and the (N,) mask of those found by their own patch.
         """
@@ -157,7 +157,7 @@ class Tracker:
         return pixels.astype(np.float32), good, anchored & good
 
     def _refine_in_time(self, soft: U8, found: _Found, pose: Pose | None) -> F32:
-        """Refine matches of Lucas-Kanade by the features' own patches; without `pose` the matches stay as they are."""
+        """Return the matches refined by the features' own patches; unchanged without the predicted `pose`."""
         if pose is None:
             self._anchors = FeaturePatches.none(self._settings.window_px | 1)
             return found.pixels
@@ -186,7 +186,7 @@ class Tracker:
     def _predicted_pixels(
         self, m: _Exposure, image: U8, now_from_then: Pose, relative_covariance: F64 | None
     ) -> PredictedPixels:
-        """Predict pixels from the motion; if they move far, their common error is corrected first (M1c)."""
+        """Predict pixels of exposure `m` in `image`; if features move far, a common error is corrected (M1c)."""
         has_depth = bool(np.isfinite(m.depth).any())
         depth = m.depth if has_depth else self._views.common_depth((m.image, image), m.pixels, m.depth, now_from_then)
         predicted = self._views.predicted(m.pixels, depth, now_from_then, 0, relative_covariance)
@@ -215,11 +215,10 @@ class Tracker:
     def _match(
         self, a: U8, b: U8, pixels: F32, predicted: PredictedPixels, cam: int, expected: bool = False
     ) -> tuple[F32, Mask]:
-        """Match pixels (N, 2) of image `a` in image `b` by Lucas-Kanade, from their predictions.
+        """Match pixels (N, 2) of image `a` in image `b` by Lucas-Kanade, starting from `predicted`.
 
-        Return the (N, 2) pixels and the (N,) mask of matches. `cam` is the index of the camera of `b`; 0 is a match in
-        time, which is checked forward and backward. `expected`: whether the prediction is good to some pixels, so that
-        coarse pyramid levels are not needed.
+        Return the (N, 2) pixels and the (N,) mask of matches. `cam` is the camera of `b`; 0 means a match in time,
+        which is checked backward. `expected`: whether the prediction is good to a few pixels.
         """
         s = self._settings
         a = match_brightness(a, b, s)
@@ -234,7 +233,7 @@ class Tracker:
         return found, good
 
     def _in_search_region(self, cam: int, found: F32 | F64, predicted: PredictedPixels) -> Mask:
-        """Return a mask (N,) of matches inside the image and near enough to their prediction."""
+        """Return a mask (N,) of the pixels `found` that are inside the image and near enough to their prediction."""
         s, error = self._settings, found - predicted.pixels
         good: Mask = _inside(found, self._lenses[cam].camera) & ((error * error).sum(axis=1) < s.search_px**2)
         if predicted.covariance is not None:
@@ -303,7 +302,7 @@ class Tracker:
     def _refine_by_patches(
         self, i: int, left: _Exposure, right: U8, found: F64, good: Mask, reach: F64 | None = None
     ) -> F64:
-        """Refine matches in another camera by their patches; `good` is updated, False where the patch does not fit."""
+        """Refine the matches `found` (N, 2) in camera `i` by patches; `good` becomes False where one does not fit."""
         patched = left.patches.select(good[left.patches.ids])
         to_first, at = self._cam_from_first[i].inverse, patched.ids
         up = np.array([0.0, 0.0, -1.0]) if left.pose is None else (left.pose @ to_first).rotation[2]

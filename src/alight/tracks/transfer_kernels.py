@@ -10,7 +10,7 @@ from alight.compiled import kernel
 
 @kernel
 def _distort(x: float, y: float, model: int, k: F64, out: F64) -> None:
-    """Write distorted coordinates as `Camera.distort`; `model`: 0 no distortion, 1 radial-tangential, 2 equidistant."""
+    """Write the distorted coordinates of (x, y); `model`: 0 no distortion, 1 radial-tangential, 2 equidistant."""
     out[0], out[1] = x, y
     if model == 1:
         r2 = x * x + y * y
@@ -30,13 +30,14 @@ def _distort(x: float, y: float, model: int, k: F64, out: F64) -> None:
 def carry_points(
     rays: F64, depth: F64, R: F64, t: F64, lens: F64, model: int, k: F64, points: F64, pixels: F64
 ) -> None:
-    """Write points in the frame of another camera, and their pixels there; NaN for points behind that camera.
+    """Write points in the frame of another camera, and their pixels there, NaN for points behind that camera.
 
     Args:
         rays: (N, 2) normalised coordinates in this camera.
         depth: (N,) depth along the axis of this camera, m.
         R, t: (3, 3), (3,) there_from_here.
-        lens: (4,) focal lengths and principal point of the other camera; model, k: its distortion, (5,).
+        lens: (4,) focal lengths and principal point of the other camera.
+        model, k: code and coefficients (5,) of its distortion.
         points: (N, 3) out, m. pixels: (N, 2) out.
     """
     flat = np.empty(2)
@@ -72,9 +73,9 @@ def pixel_covariances(points: F64, by_depth: F64, focal: float, root: F64, out: 
 
 @kernel
 def triangulate_matches(first: F64, other: F64, R: F64, t: F64, inverse_depth: F64, arm: F64) -> None:
-    """Write the (N,) inverse depth, 1/m, and `arm`, m, of normalised matches, as `view_transfer.inverse_depth` (M2).
+    """Write the (N,) inverse depth, 1/m, and `arm`, m, of matches; see `view_transfer.inverse_depth` (M2).
 
-    `R` (3, 3) and `t` (3,) are other_from_first.
+    `first` and `other` (N, 2) are normalised coordinates; `R` (3, 3) and `t` (3,) are other_from_first.
     """
     for n in range(len(first)):
         x, y, u, v = first[n, 0], first[n, 1], other[n, 0], other[n, 1]

@@ -16,7 +16,7 @@ from alight.tracks.transfer_kernels import carry_points, line_distances, pixel_c
 
 
 class Lens:
-    """Lens of a camera: normalised coordinates of pixels, interpolated in a table (error 1e-8 for common lenses)."""
+    """Lens of a camera; the normalised coordinates of pixels are interpolated in a table."""
 
     def __init__(self, camera: Camera) -> None:
         # (H + 2, W + 2, 2) rays of all pixels and of a margin of one pixel: each frame needs hundreds, several times
@@ -36,8 +36,8 @@ def inverse_depth(first: F64, other: F64, other_from_first: Pose) -> tuple[F64, 
     """Triangulate matches of normalised coordinates `first` and `other`, (N, 2) each (M2).
 
     Returns:
-        (N,) inverse depth in the first camera, 1/m, negative where the rays diverge; (N,) `arm`, m: the sigma of the
-        inverse depth is the sigma of a normalised coordinate over it.
+        (N,) inverse depth in the first camera, 1/m, negative where the rays diverge; (N,) `arm`, m. The sigma of the
+        inverse depth is the sigma of a normalised coordinate divided by `arm`.
     """
     depth, arm = np.empty(len(first)), np.empty(len(first))
     triangulate_matches(first, other, other_from_first.rotation, other_from_first.translation, depth, arm)
@@ -70,7 +70,7 @@ def pixel_covariance(points: F64, by_depth: F64, focal: float, relative_covarian
 
 
 def inside_search_region(offset: F32 | F64, covariance: F64, sigmas: float, least: float) -> Mask:
-    """Return which of (N, 2) offsets from a predicted pixel lie within `sigmas` standard deviations.
+    """Return a mask (N,) of the offsets (N, 2) from a predicted pixel that lie within `sigmas` standard deviations.
 
     Args:
         covariance: (N, 2, 2) covariance of the prediction, px^2.
@@ -82,7 +82,7 @@ def inside_search_region(offset: F32 | F64, covariance: F64, sigmas: float, leas
 
 
 def median_depth(depth: F64, otherwise: float) -> float:
-    """Return the (upper) median of the finite depths, else `otherwise`; it is ten times as fast as `np.median`."""
+    """Return the (upper) median of the finite depths; `otherwise` if there are none."""
     known = depth[np.isfinite(depth)]
     middle = len(known) // 2
     return float(np.partition(known, middle)[middle]) if len(known) else otherwise
@@ -90,7 +90,7 @@ def median_depth(depth: F64, otherwise: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class PredictedPixels:
-    """Predicted pixels of features, where the search starts."""
+    """Predicted pixels of N features, where the search for them starts."""
 
     pixels: F32  # (N, 2)
     depth: F64  # (N,) depth in that view, m, NaN = unknown
@@ -113,7 +113,7 @@ class ViewTransfer:
     def predicted(
         self, pixels: F32, depth: F64, other_from_first: Pose, other: int, relative_covariance: F64 | None = None
     ) -> PredictedPixels:
-        """Project pixels of the left camera into another view, at their depth.
+        """Return pixels of the left camera projected into another view, at their depth.
 
         Pixels of unknown depth get the median depth, or infinity if no depth is known.
 
@@ -142,11 +142,8 @@ class ViewTransfer:
         return PredictedPixels(predicted, there, covariance)
 
     def common_depth(self, images: tuple[U8, U8], pixels: F32, depth: F64, now_from_then: Pose) -> F64:
-        """Return the depth, (N,) m, common to all features, at which both images correlate best (M1c).
-
-        It is used when no depth is known: a single camera needs it between photos, where features move farther than a
-        search reaches. Without a baseline between the images, `depth` is returned.
-        """
+        """Return the depth common to all features, as (N,), m, at which both images correlate best (M1c)."""
+        # for photos by a single camera, without known depths: their features move farther than a search reaches
         baseline, camera = float(np.linalg.norm(now_from_then.translation)), self._lenses[0].camera
         if baseline < 1e-5:  # m: no depth shifts a feature
             return depth
@@ -160,7 +157,7 @@ class ViewTransfer:
         return np.full(len(pixels), baseline / shifts[int(np.argmax(scores))])
 
     def updated_depths(self, before: F32, pixels: F32, depth: F64, now_from_then: Pose) -> F64:
-        """Return (N,) depths in the present view: by parallax where it suffices, else the old depths moved along."""
+        """Return (N,) present depths, m: by parallax from `before` to `pixels` where it suffices, else by `depth`."""
         focal = self._lenses[0].camera.fu
         then, now = (self._lenses[0].normalise(p.astype(np.float64)) for p in (before, pixels))
         w, arm = inverse_depth(then, now, now_from_then)

@@ -46,7 +46,7 @@ _MAX_INFLATIONS = 3  # inflations without a good exposure between, after which t
 
 @dataclass(eq=False)
 class FilterMemory:
-    """All that changes from event to event, except the inertial measurements and the recording of the flight."""
+    """Everything in the filter that changes from event to event, except IMU samples and the recorded flight."""
 
     visual: VisualUpdate
     health: Health
@@ -74,7 +74,7 @@ class FilterMemory:
 
 @dataclass(eq=False)
 class RecordedFlight:
-    """Input of the filter during a flight, and its motions: the input of the smoother."""
+    """Input of the smoother: the measurements of a flight, and the motions that the filter returned."""
 
     rig: Rig
     settings: FilterSettings
@@ -117,7 +117,7 @@ class MotionFilter:
         self.too_late = 0  # events left out because they came later than `lateness`
 
     def feed(self, event: NavSample | ImuSample | Tracks) -> Motion | None:
-        """Process one event and return the motion if the event is the features of an exposure.
+        """Process one event and return the motion if the event holds the features of an exposure.
 
         Return None for other events, and for an exposure before the first row of GPS/INS, with a repeated stamp, or too
         late. An inertial measurement is used when the next exposure or row of GPS/INS arrives.
@@ -161,14 +161,14 @@ class MotionFilter:
         return m.visual.window(m.state, m.last_exposure_ns, m.frame_id)
 
     def predictor(self) -> MotionPredictor | None:
-        """Return the predictor of later exposures; None before the first row of GPS/INS."""
+        """Return a predictor of the cameras at later exposures; None before the first row of GPS/INS."""
         m = self._memory
         return None if m.state is None else MotionPredictor.of(m.state, self._cams, m.inertial, self._settings)
 
     def refined(self) -> RefinedMotions:
-        """Return all exposures so far, refined together, with joint covariance (docs/method/smoother.md, M18-M22b).
+        """Return the motions of all exposures so far, smoothed together (docs/method/smoother.md).
 
-        The result is empty if `smooth` is off in the settings, or if a batch is not possible.
+        The result is empty if `smooth` is off in the settings, or if the batch has no solution.
         """
         if self._recording is None:
             return RefinedMotions((), None)
@@ -184,12 +184,12 @@ class MotionFilter:
     # -- out of sequence -------------------------------------------------------------------------------------------
 
     def _time_of(self, event: NavSample | Tracks) -> int:
-        """Return the time of an event by the clock of GPS/INS, ns."""
+        """Return the time of an event on the clock of GPS/INS, ns."""
         state = self._memory.state
         return event.t_ns if isinstance(event, NavSample) or state is None else instant(event.t_ns, state.core)
 
     def _repeat_last_exposure(self) -> None:
-        """Process the last exposure again if, by its time offset, it was later than the IMU samples available then."""
+        """Process the last exposure again if IMU samples that it had to do without have arrived since."""
         last = self._processed[-1] if self._processed else None
         if last is None or not isinstance(last.event, Tracks) or last.t_ns - last.event.t_ns < _MIN_AHEAD_NS:
             return
@@ -259,7 +259,7 @@ class MotionFilter:
         return motion
 
     def _course(self, tracks: Tracks) -> CourseAttitude | None:
-        """Estimate the attitude from images if GPS comes without one: initially, and between photos (M26)."""
+        """Return the attitude from course and images if GPS gives none, initially and between photos; else None."""
         m, nav = self._memory, self._memory.last_nav
         if nav is None or nav.position_world is None or nav.world_from_body is not None:
             return None
@@ -278,7 +278,7 @@ class MotionFilter:
     # -- time ------------------------------------------------------------------------------------------------------
 
     def _start(self, sample: NavSample, sigma: F64) -> bool:
-        """Start from a row with position and attitude, in a new map frame if there was a state; return success."""
+        """Initialise the state from a GPS/INS row, 1-sigma `sigma` (9,); return False without position or attitude."""
         m, state = self._memory, initial_state(sample, sigma, self._settings)
         if state is None:
             return False
@@ -302,7 +302,7 @@ class MotionFilter:
         return True
 
     def _start_over(self, state: FilterState, sample: NavSample, sigma: F64) -> None:
-        """Start again from the row if the state has diverged, unless the row itself is as uncertain."""
+        """Initialise the diverged state again from a GPS/INS row, unless the row itself is just as uncertain."""
         fresh = initial_state(sample, sigma, self._settings)
         if fresh is None or not (is_diverged(fresh) and np.isfinite(state.core).all()):
             self._start(sample, sigma)
@@ -343,7 +343,7 @@ class MotionFilter:
     # -- GPS/INS ---------------------------------------------------------------------------------------------------
 
     def _update_from_nav(self, state: FilterState, sample: NavSample, sigma: F64) -> None:
-        """Update the state by the quantities of a GPS/INS row that pass their gates (M14-M16)."""
+        """Update the state by those quantities of a GPS/INS row, with `sigma` (9,), that pass their gates (M14-M16)."""
         rows = measurements(state, sample, sigma, self._settings, self._memory.inertial)
         quantities = self._correct_by_passed(state, rows) if rows else set()
         position = Quantity.POSITION in quantities if sample.position_world is not None else None
@@ -352,7 +352,7 @@ class MotionFilter:
             self._accept_jump(state, sample.position_world)
 
     def _correct_by_passed(self, state: FilterState, rows: Sequence[NavMeasurement]) -> set[Quantity]:
-        """Update the state by the measurements that pass their own gates; return their quantities."""
+        """Update the state by the measurements that pass their own gates; return the quantities that passed."""
         H = np.concatenate([z.H for z in rows])
         residual, unit = np.concatenate([z.residual for z in rows]), np.concatenate([z.variance for z in rows]) ** -0.5
         residual, HP = residual * unit, (H @ state.P[:CORE]) * unit[:, None]
@@ -366,7 +366,7 @@ class MotionFilter:
         return {z.quantity for z, good in zip(rows, passed, strict=True) if good}
 
     def _accept_jump(self, state: FilterState, position: F64) -> None:
-        """Set the slow error of the GPS/INS position anew after a jump, so that the jump does not move the vehicle."""
+        """Assign a jump of the GPS/INS `position` to its slow error, so that the estimated position does not move."""
         expected = state.core[AT.pos] + state.core[AT.offset]
         log.warning("GPS/INS position jumped by %.1f m", np.linalg.norm(position - expected - state.core[AT.nav_pos]))
         state.core[AT.nav_pos] = position - expected
@@ -377,7 +377,7 @@ class MotionFilter:
         self._memory.health.on_gps(state.t_ns, True, True)
 
     def _inflate_attitude(self, state: FilterState) -> None:
-        """Inflate the attitude covariance: consistent observations contradict the state, so INS may be wrong (M25)."""
+        """Inflate the attitude covariance, because consistent observations contradict the state (M25)."""
         self._memory.inflations += 1
         log.warning("motion: the pictures contradict the state; its attitude is taken as less sure")
         self._memory.visual.reset(state)

@@ -34,7 +34,7 @@ class GateCounts:
 
     @classmethod
     def of(cls, tried: Mask, passed: Mask, distance: F64, rows: I64) -> GateCounts:
-        """Count the N features that were tried, given their squared Mahalanobis distances and numbers of rows."""
+        """Count the features tried and passed, given their squared Mahalanobis distances and numbers of rows (N,)."""
         mean = float(distance[passed].sum() / max(rows[passed].sum(), 1))
         return cls(int(passed.sum()), int((tried & ~passed).sum()), mean)
 
@@ -48,7 +48,7 @@ class Health:
     """Rates the motion at every exposure, from the outcome of all gates."""
 
     def __init__(self, coast: float) -> None:
-        """Set the time `coast` (s) without any support after which the motion is lost."""
+        """Set `coast`, the seconds without support from either images or GPS/INS after which the motion is lost."""
         self._coast = coast
         self._supported_ns = self._nav_ns = self._position_ns = self._exposure_ns = NEVER_NS
         self._start_ns = NEVER_NS  # time of the first exposure
@@ -59,7 +59,7 @@ class Health:
         self._gps_rejected_since = 0  # ns, time of the first of these rejections
 
     def restart(self, t_ns: int) -> None:
-        """Start again from GPS/INS at `t_ns`."""
+        """Reset the history, because the filter was initialised again from GPS/INS at `t_ns`."""
         self._nav_ns = self._position_ns = t_ns
         self._start_ns = NEVER_NS
         self._settled = self._contradictions = self._gps_rejections = 0
@@ -72,7 +72,7 @@ class Health:
             other: whether any other quantity passed its gate.
 
         Returns:
-            Time in s for which positions have failed their gate without a break.
+            Seconds since the positions began to fail their gate; 0 if the last position passed.
         """
         if position or other:
             self._nav_ns = t_ns
@@ -83,7 +83,7 @@ class Health:
         return (t_ns - self._gps_rejected_since) * 1e-9 if self._gps_rejections else 0.0
 
     def on_exposure(self, t_ns: int, counts: GateCounts) -> bool:
-        """Record one exposure; return whether observations contradict the state for so long that it must be wrong."""
+        """Record one exposure; return whether observations contradicted the state so often that it must be wrong."""
         self._interval = max((t_ns - self._exposure_ns) * 1e-9, 0.0)
         self._exposure_ns = t_ns
         self._start_ns = t_ns if self._start_ns == NEVER_NS else self._start_ns

@@ -37,13 +37,13 @@ class CourseAttitude:
 
 @dataclass(frozen=True, eq=False)
 class PositionedExposure:
-    """An exposure and the GPS row at its time, which has a position and no attitude."""
+    """An exposure and the GPS row at its time, with a position but no attitude."""
 
     tracks: Tracks
     nav: NavSample
 
     def course_to(self, now: PositionedExposure, cam: Pose, settings: FilterSettings) -> CourseAttitude | None:
-        """Return the attitude at a later exposure by the course, None if it is not determined; `cam`: body_from_cam."""
+        """Return the attitude at the later exposure `now` by the course, if determined; `cam` is body_from_cam."""
         assert self.nav.position_world is not None
         assert now.nav.position_world is not None
         way = (now.nav.position_world - self.nav.position_world)[:2]
@@ -55,10 +55,10 @@ class PositionedExposure:
 
 @dataclass(frozen=True)
 class _Shift:
-    """Motion of the ground through the image, in normalised coordinates, without the effect of a change of tilt."""
+    """Shift of the ground in the image, in normalised coordinates, after the effect of a tilt was removed."""
 
-    value: complex
-    sigma: float  # 1-sigma across its direction
+    value: complex  # x + iy
+    sigma: float  # 1-sigma perpendicular to the shift
     scale: float  # scale of the second image over the first; above 1 the camera descended
 
 
@@ -67,13 +67,11 @@ def attitude_from_course(
 ) -> CourseAttitude | None:
     """Return the attitude at `now` of a camera that looks straight down; None if the images do not determine it.
 
-    The ground moves through the image against the direction of flight. The map from one image to the other gives the
-    direction of flight in the image, and GPS gives it in the world.
-
     Args:
         way_world: (2,) metres east and north, GPS position of `now` less that of `before`.
         way_sigma: 1-sigma of each component, metres.
     """
+    # the direction of flight in the image, against the motion of the ground, is compared with that in the world
     way = float(np.hypot(way_world[0], way_world[1]))
     _, i, j = np.intersect1d(before.ids, now.ids, return_indices=True)
     a, b = (_complex(t.normalised[k, 0]) for t, k in ((before, i), (now, j)))
@@ -98,11 +96,11 @@ def _complex(z: F64) -> NDArray[np.complex128]:
 
 
 def _robust_shift(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> _Shift | None:
-    """Return the shift t of the map b (1 + h . a) = c a + t by robust least squares; None: no clear motion.
+    """Return the shift t of the map b (1 + h . a) = c a + t by robust least squares; None if the motion is not clear.
 
-    A change of the tilt shifts the image like a flight over ground, by -h turned as the image has turned. So h is
-    estimated and its effect removed: at 30 m it changed the direction by 0.2 rad. The fit starts from the pair of
-    features whose similarity has the most inliers, because the images may be rotated by any angle.
+    `a` and `b` (N,) are normalised coordinates x + iy of the features in both images. The term h removes the effect of
+    a changed tilt, which shifts the image like a flight. The fit starts from the pair of features whose similarity has
+    the most inliers, because the images may be rotated by any angle.
     """
     i, j = np.random.default_rng(0).integers(0, len(a), (2, 100))
     c = (b[j] - b[i]) / np.where(i == j, 1.0, a[j] - a[i])

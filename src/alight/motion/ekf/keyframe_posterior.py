@@ -24,8 +24,7 @@ log = logging.getLogger(__name__)
 class CloneWindow:
     """Copy of the clones after one exposure, and of the observations that the state has not used yet.
 
-    Few exposures become keyframes of a map, and the posterior takes as long as the update of the state. So the filter
-    returns this record, and the posterior is computed only where it is needed: it depends on the record alone.
+    The posterior follows from this record alone; it is computed only for the few exposures that become keyframes.
     """
 
     clones: Clones  # K
@@ -44,7 +43,7 @@ class CloneWindow:
         cls, state: FilterState, unused: WindowObservations, cams: Sequence[Pose], settings: FilterSettings,
         frame_id: int = 0,
     ) -> CloneWindow:  # fmt: skip
-        """Copy the clones, mounting and map offset of a state, with the observations that it has not used yet."""
+        """Copy the clones, mounting and map offset of a state, with the observations `unused` so far."""
         rows, at, core = state.clone_rows, AT.offset, state.core
         joint, cross, offset = (state.P[r, c].copy() for r, c in ((rows, rows), (rows, at), (at, at)))
         return cls(
@@ -56,9 +55,8 @@ class CloneWindow:
         """Return the window after Gauss-Newton on the unused observations, with the clones' joint covariance as prior.
 
         The covariance of the poses relative to the last one is inflated by the median residual and by `pixel_repeat`,
-        because errors of trees, grass in the wind and water are correlated between features and in time. Observations
-        that contradict the prior as a whole are left out: weights relative to the median do not help where all
-        observations are wrong, as when the lines of a car park are matched with each other.
+        because tracking errors are correlated between features and in time. If the observations as a whole contradict
+        the prior, the window is returned unchanged.
         """
         P, clones, median = self.P, self.clones, 0.0
         error, gain = np.zeros(len(P)), np.asarray(np.eye(len(P)))
@@ -82,8 +80,8 @@ class CloneWindow:
     def posterior(self) -> KeyframePosterior:
         """Return the joint posterior of the clones, oldest first (M23).
 
-        The covariance of a single motion is its marginal in the world. The joint covariance is in the map frame, whose
-        offset from the world (`offset_world`) cameras cannot observe; GPS/INS corrections move all poses together.
+        The covariance of each motion is in the world. The joint covariance is in the map frame, whose offset from the
+        world (`offset_world`) cameras cannot observe.
         """
         refined = self.refined()
         order = (CLONE * np.arange(len(self.clones))[:, None] + POSITION_FIRST).ravel()
@@ -104,11 +102,8 @@ class CloneWindow:
 
 
 def rigid_posterior(motions: Sequence[Motion]) -> KeyframePosterior | None:
-    """Return the joint posterior of poses that share one rigid error, that of the last pose; None without poses.
-
-    It is used for motions that were returned one by one: the covariance of the poses relative to each other is then
-    lost.
-    """
+    """Return the joint posterior of poses that move rigidly with the error of the last pose; None without poses."""
+    # for motions that were returned one by one, which loses the covariance of the poses relative to each other
     if not motions:
         return None
     p = np.array([m.world_from_body.translation for m in motions])
@@ -119,7 +114,7 @@ def rigid_posterior(motions: Sequence[Motion]) -> KeyframePosterior | None:
 
 
 def relative_inflation(p: F64, factor: float, reference: int = -1) -> F64:
-    """Return the (6K, 6K) matrix that inflates the variance of poses relative to the reference pose by `factor`.
+    """Return the matrix F (6K, 6K): F P F' inflates the covariance P of poses relative to the reference by `factor`.
 
     Args:
         p: (K, 3) positions, metres; the error of a pose is ordered (rotation, position).

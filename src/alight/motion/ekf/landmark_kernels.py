@@ -21,8 +21,9 @@ def linearise_points(
         sigma: (N,) 1-sigma of a normalised coordinate.
         R, origin, first_R, first_origin: (C, 3, 3), (C, 3) world_from_cam, now and at the first estimate.
         first_p: (3,) first estimate of the rig's position, m.
-        near: m along the optical axis; observations of nearer points are left out.
-        residual, by_pose, by_point: (N, 2C), (N, 2C, 6), (N, 2C, 3) out; rows without an observation are zero.
+        near: least depth along the optical axis, m; observations of nearer points are left out.
+        residual, by_pose, by_point: (N, 2C), (N, 2C, 6), (N, 2C, 3) out: residuals, and Jacobians with respect to the
+            rig's pose and the point; rows without an observation are zero.
         count: (N,) out, number of rows with an observation.
     """
     q, f = np.empty(3), np.empty(3)
@@ -49,10 +50,10 @@ def linearise_points(
 
 @kernel
 def project_covariance(P: F64, pose: int, points: I64, by_pose: F64, by_point: F64, HP: F64) -> None:
-    """Write the covariance `HP` (N, m, n) of the m measurement rows of N landmarks with all errors, given `P` (n, n).
+    """Write the covariance `HP` (N, m, n) of m measurement rows of each of N landmarks with all n errors of the state.
 
-    `pose` and `points` (N,) are the first rows of the clone and of each landmark in `P`. The Jacobians `by_pose` and
-    `by_point` are those of `linearise_points`.
+    `P` (n, n) is the covariance of the state; `pose` and `points` (N,) are the first rows of the clone and of each
+    landmark in it. `by_pose` and `by_point` are the Jacobians from `linearise_points`.
     """
     for k in range(by_pose.shape[0]):
         for r in range(by_pose.shape[1]):
@@ -71,7 +72,7 @@ def project_covariance(P: F64, pose: int, points: I64, by_pose: F64, by_point: F
 
 @kernel
 def _covariance_with(HP: F64, pose: int, point: int, by_pose: F64, by_point: F64) -> float:
-    """Return the covariance of a measurement row, given its covariance `HP` with all errors, with another row."""
+    """Return the covariance of two measurement rows: `HP` (n,) is from one, `by_pose` and `by_point` from the other."""
     out = 0.0
     for j in range(6):
         out += HP[pose + j] * by_pose[j]
@@ -82,7 +83,7 @@ def _covariance_with(HP: F64, pose: int, point: int, by_pose: F64, by_point: F64
 
 @kernel
 def gate_distances(HP: F64, pose: int, points: I64, by_pose: F64, by_point: F64, residual: F64, out: F64) -> None:
-    """Write the (N,) squared Mahalanobis distance of each landmark, by the covariance of its own rows.
+    """Write the (N,) squared Mahalanobis distance of the residuals of each landmark.
 
     The arguments are as in `project_covariance` and `linearise_points`.
     """
@@ -100,11 +101,11 @@ def innovation_of(
     HP: F64, pose: int, points: I64, by_pose: F64, by_point: F64, residual: F64, used: I64, scale: F64,
     rows: F64, S: F64, innovation: F64,
 ) -> None:  # fmt: skip
-    """Gather the rows that are used, each multiplied by the factor of its landmark.
+    """Write residuals and covariances of the rows that are used, each multiplied by the factor of its landmark.
 
     Args:
         HP, pose, points, by_pose, by_point, residual: as in `gate_distances`.
-        used: (M, 2) landmark and row.
+        used: (M, 2) index of a landmark, and index of one of its rows.
         scale: (N,) factor of each landmark.
         rows: (M, n) out, covariance with all errors.
         S: (M, M) out, covariance of the rows with each other, its lower half.

@@ -21,21 +21,21 @@ _MOVING = slice(CLONE, CLONE + AT.motion.stop)  # rows of attitude to accelerome
 
 
 def instant(stamp_ns: int, core: F64) -> int:
-    """Return the time of an exposure by the clock of GPS/INS, ns (M27)."""
+    """Return the time of an exposure on the clock of GPS/INS, ns, by the time offset in `core` (31,) (M27)."""
     return stamp_ns - round(float(core[AT.time][0]) * 1e9)
 
 
 @dataclass(frozen=True, eq=False)
 class MotionPredictor:
-    """Pose, velocity and biases of a state, to be propagated by the IMU or at constant velocity."""
+    """Copy of a filter state from which cameras at later exposures are predicted, by the IMU or constant velocity."""
 
     t_ns: int
     R: F64  # (3, 3) world_from_body
     core: F64  # (31,) as in `FilterState`
     last: Clones  # the rig at the last exposure; empty before the first one
-    P: F64  # (24, 24) joint: `last` (6; zero without it), attitude to accelerometer bias, AT.mount
+    P: F64  # (24, 24) covariance of pose `last` (6; zero if empty), attitude to accelerometer bias (15), AT.mount
     cams: tuple[Pose, ...]  # body_from_cam
-    inertial: bool
+    inertial: bool  # whether the IMU drives the motion
     noise: FilterSettings
 
     @classmethod
@@ -51,7 +51,7 @@ class MotionPredictor:
     def cameras(self, stamp_ns: int, before_ns: int | None, imu: ImuBuffer) -> Prediction:
         """Predict the cameras at the exposure stamped `stamp_ns`, relative to the exposure stamped `before_ns`.
 
-        For an exposure before the state's time, the cameras are those at the state's time. The prediction has no
+        For an exposure before the state's time, the cameras are predicted at the state's time. The prediction has no
         earlier poses if the exposure `before_ns` is no longer held.
         """
         held = before_ns in self.last.stamps
@@ -71,7 +71,7 @@ class MotionPredictor:
         return propagate(here, self.core[AT.gyro], m, (t_ns - self.t_ns) * 1e-9, self.noise)
 
     def _at_exposure(self, stamp_ns: int, t_ns: int, imu: ImuBuffer) -> MotionPredictor:
-        """Return the predictor at an exposure that the state has not processed yet."""
+        """Return the predictor propagated to an exposure that the state has not processed yet, which becomes `last`."""
         after, F, Q = self._propagated(t_ns, imu)
         core, P = self.core.copy(), self.P.copy()
         core[AT.pos], core[AT.vel] = after.position, after.velocity
@@ -86,7 +86,7 @@ class MotionPredictor:
         return replace(self, t_ns=t_ns, R=after.R, core=core, last=last, P=H @ P @ H.T)
 
     def _relative_covariance(self, after: Step, F: F64, Q: F64) -> F64:
-        """Return the (6, 6) covariance of the motion of earlier points in camera 0, as in `Prediction.covariance`."""
+        """Return `Prediction.covariance` after propagation to `after` by the transition `F` with noise `Q` (15, 15)."""
         cam, rig, last = self.cams[0], after.R @ so3_exp(self.core[AT.mount]), self.last
         cam_from_world, arms = (rig @ cam.rotation).T, (last.R[0] @ cam.translation, rig @ cam.translation)
         baseline = after.position + arms[1] - last.p[0] - arms[0]

@@ -21,7 +21,7 @@ from alight.motion.rotation_kernels import move_poses
 
 
 class CoreLayout(NamedTuple):
-    """Rows of the core's errors, in the state's values and in its covariance."""
+    """Slices of the core (all states but clones and landmarks), both in its values and in the error covariance."""
 
     att: slice = slice(0, 3)  # rad, body attitude
     pos: slice = slice(3, 6)  # m
@@ -49,11 +49,11 @@ _UNMODELLED = (1.0, 2.0)  # rad/s^2, m/s^2: accelerations that M27 leaves out
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """N landmarks: the points x_i of the paper's state."""
+    """N landmarks, the points x_i in the state of the 2004 paper."""
 
     ids: I64  # (N,)
     x: F64  # (N, 3) m, world
-    first_x: F64  # (N, 3) where Jacobians are taken
+    first_x: F64  # (N, 3) m, first estimates, where Jacobians are taken
     rejections: I64  # (N,) exposures in a row in which the landmark failed its gate
     mean_residual: F64  # (N, m) running mean of the residuals, in sigmas
     mean_square: F64  # (N,) running mean of their squared norm
@@ -72,7 +72,7 @@ class Landmarks:
         return Landmarks(*(getattr(self, f.name)[kept] for f in fields(self)))
 
     def joined(self, other: Landmarks) -> Landmarks:
-        """Return these landmarks followed by the others."""
+        """Return these landmarks followed by `other`."""
         if not len(self):
             return other
         return Landmarks(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
@@ -80,12 +80,12 @@ class Landmarks:
 
 @dataclass(eq=False)
 class FilterState:
-    """Core, clones and landmarks, in this order in `P`; clones and landmarks are replaced, never changed in place."""
+    """State of the filter, with clones and landmarks that are replaced, never changed in place."""
 
     t_ns: int
     R: F64  # (3, 3) world_from_body
     core: F64  # (31,) values of the slices; AT.att stays zero, R holds the attitude
-    P: F64  # (n, n)
+    P: F64  # (n, n) covariance of the errors of core, clones and landmarks, in this order
     clones: Clones = field(default_factory=Clones.none)
     landmarks: Landmarks = field(
         default_factory=lambda: Landmarks.new(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), 0)
@@ -114,10 +114,7 @@ class FilterState:
         return slice(CORE, self.landmark_start)
 
     def add_clone(self, t_ns: int) -> None:
-        """Append the present pose of the rig to the clones, for the exposure stamped `t_ns`.
-
-        The clone depends on the time offset: a stamp farther ahead than assumed means an earlier pose (M27).
-        """
+        """Append the present pose of the rig, stamped `t_ns`, to the clones, with the error of its stamp (M27)."""
         J = np.zeros((CLONE, CORE))
         J[0:3, AT.att], J[0:3, AT.mount], J[3:6, AT.pos] = np.eye(3), self.R, np.eye(3)
         J[0:3, AT.time], J[3:6, AT.time] = -(self.R @ self.rate)[:, None], -self.core[AT.vel][:, None]
@@ -126,10 +123,8 @@ class FilterState:
         self.clones = self.clones.with_pose(t_ns, self.rig, self.core[AT.pos])
 
     def _time_offset_noise(self) -> F64:
-        """Return the (6, 6) covariance that M27 omits in a clone: errors and changes of the rates, times the offset.
-
-        Without it, the noise of a gyro (7 mrad/s per sample) is treated as rotation, and the offset becomes wrong.
-        """
+        """Return the (6, 6) covariance that the time offset adds to a clone by errors and changes of the rates."""
+        # M27 omits it: the noise of a gyro (7 mrad/s per sample) would be treated as rotation and spoil the offset
         time, velocity = float(self.P[AT.time, AT.time][0, 0]), float(self.P[AT.vel, AT.vel].diagonal().max())
         rotation = time * self.rate_variance + (0.5 * time * _UNMODELLED[0]) ** 2
         position = time * velocity + (0.5 * time * _UNMODELLED[1]) ** 2
@@ -162,7 +157,7 @@ class FilterState:
         self.correct_by(residual, HP, HP[:, columns] @ H.T)
 
     def correct_by(self, residual: F64, HP: F64, S: F64) -> None:
-        """Update the state by a measurement of unit noise; one with a singular matrix or NaN is skipped and counted.
+        """Update the state by a measurement of unit noise; with a singular matrix or NaN, only count it as `refused`.
 
         Args:
             residual: (m,) measured less predicted.

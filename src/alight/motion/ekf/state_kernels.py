@@ -14,7 +14,7 @@ def propagate_errors(P: F64, F: F64, Q: F64, decay: F64, drift: F64) -> None:
 
     Args:
         P: (n, n) covariance; its first m rows are the motion, the next k rows the errors of GPS/INS.
-        F, Q: (m, m) transition and noise of the motion.
+        F, Q: (m, m) transition and noise covariance of the motion.
         decay, drift: (k,) transition and noise variance of the errors of GPS/INS.
     """
     n, m, k = len(P), len(F), len(decay)
@@ -45,7 +45,7 @@ def propagate_errors(P: F64, F: F64, Q: F64, decay: F64, drift: F64) -> None:
 
 @kernel
 def keep_rows(P: F64, kept: I64, out: F64) -> None:
-    """Write the (m, m) covariance of the rows `kept`, in ascending order."""
+    """Write the rows and columns `kept` (m,) of the covariance `P` to `out` (m, m)."""
     for i in range(len(kept)):
         row = P[kept[i]]
         for j in range(len(kept)):
@@ -54,9 +54,9 @@ def keep_rows(P: F64, kept: I64, out: F64) -> None:
 
 @kernel
 def insert_rows(P: F64, at: int, cross: F64, own: F64, out: F64) -> None:
-    """Write the covariance P (n, n) with k rows and columns inserted at row `at` to `out` (n + k, n + k).
+    """Write the covariance `P` (n, n) with k errors inserted at row and column `at` to `out` (n + k, n + k).
 
-    `cross` (k, n) is the covariance of the new errors with the others, `own` (k, k) that of the new errors.
+    `own` (k, k) is the covariance of the new errors, `cross` (k, n) is that of the new errors with the others.
     """
     n, k = len(P), len(own)
     for i in range(n):
@@ -85,7 +85,7 @@ def mirror_lower(P: F64) -> None:
 
 @kernel
 def unit_noise_distance(residual: F64, S: F64, L: F64, y: F64) -> float:
-    """Return the distance of `squared_distance`, using only the lower half of `S`; L (m, m) and y (m,) are scratch."""
+    """Return `squared_distance`, from the lower half of `S` only; `L` (m, m) and `y` (m,) are scratch."""
     out = 0.0
     for r in range(len(residual)):
         e = residual[r]

@@ -36,7 +36,7 @@ _MAX_INITIAL_MISFIT = 2.0  # in medians; tracks with a larger residual do not be
 
 
 def gate_limits(rows: I64, probability: float) -> F64:
-    """Return the largest squared Mahalanobis distances that pass a chi-square gate, for numbers of `rows` (N,)."""
+    """Return the (N,) largest squared Mahalanobis distances that pass a gate, for `rows` (N,) degrees of freedom."""
     return np.asarray(2.0 * gammaincinv(0.5 * rows, probability))
 
 
@@ -83,11 +83,7 @@ class VisualUpdate:
         return counts + self._initialise_landmarks(state)
 
     def _relinearise_if_stale(self, state: FilterState, t_ns: int) -> None:
-        """Renew Jacobians once the oldest clone has turned too far from its first estimate.
-
-        This happens after a wrong initial heading. Between photos the first estimates are replaced; otherwise the
-        visual update is reset.
-        """
+        """Reset the update if the oldest clone turned too far; between photos, renew the first estimates instead."""
         w, q, least = state.clones, state.landmarks, 1.0 + 2.0 * np.cos(_MAX_LINEARISATION_ERROR)
         stale = len(w) > 0 and float((w.R[0] * w.first_R[0]).sum()) < least
         if stale and (t_ns - w.stamps[-1]) * 1e-9 > MAX_RATE_AGE:
@@ -96,7 +92,7 @@ class VisualUpdate:
             self.reset(state)
 
     def _clone_to_drop(self, state: FilterState) -> list[int]:
-        """Return the index of the last clone if it is near the one before, else of the oldest if there are too many."""
+        """Return the clone to drop: the last if near its predecessor, the first if there are too many; else none."""
         p, off = state.clones.p, state.landmarks.x - state.core[AT.pos]
         distance = float(np.sqrt(median_of((off * off).sum(axis=1)))) if len(off) else 0.0  # m, of the landmarks
         if len(p) >= 3 and np.linalg.norm(p[-1] - p[-2]) < self._settings.clone_baseline * distance:
@@ -104,7 +100,7 @@ class VisualUpdate:
         return [0] if len(p) >= self._settings.clones else []
 
     def _update_from_lost_tracks(self, state: FilterState, ids: I64, dropped: list[int]) -> GateCounts:
-        """Update the poses by tracks that are no longer observed, or whose first pose is about to be dropped."""
+        """Update the poses by tracks that are not in `ids` any more, or whose first clone is about to be `dropped`."""
         unused = self._unused
         if not len(unused.ids):
             return GateCounts()
@@ -130,11 +126,7 @@ class VisualUpdate:
         return GateCounts.of(well_known, passed, distance, freedom)
 
     def _update_landmarks(self, state: FilterState, ids: I64, normalised: F64, sigma: F64) -> GateCounts:
-        """Update the state by the N landmarks observed at its last clone, with m = 2 rows per camera.
-
-        Residuals are taken at the estimates, Jacobians at the first estimates (M11; Huang et al. 2008). The
-        observations of the exposure are `ids` (M,), ascending, `normalised` (M, cameras, 2) and `sigma` (M,).
-        """
+        """Update the state by the landmarks among the exposure's features, whose `ids` (M,) are ascending (M11)."""
         column = positions(ids, state.landmarks.ids)
         index = np.flatnonzero(column >= 0)
         if not len(index):
@@ -169,12 +161,9 @@ class VisualUpdate:
         return GateCounts.of(tried, passed, distance, count)
 
     def _initialise_landmarks(self, state: FilterState) -> GateCounts:
-        """Turn tracks whose observations agree into landmarks as long as there is room, the longest tracks first (M17).
-
-        Delayed initialisation: the observations of a track are split into two independent parts. The part that does not
-        depend on the point measures the poses; it is gated and used. The other part gives the point with its covariance
-        and its exact cross covariance with the state. No observation is used twice.
-        """
+        """Turn tracks whose observations agree into landmarks while there is room, the longest tracks first (M17)."""
+        # delayed initialisation: of two independent parts of the observations, one does not depend on the point and
+        # measures the poses; the other gives the point, its covariance, and its exact cross covariance with the state
         s, unused = self._settings, self._unused
         free, length = s.points - len(state.landmarks), unused.observed.sum(axis=1)
         ready = np.flatnonzero((length >= _MIN_POSES) & unused.observed[:, -1])
@@ -211,7 +200,7 @@ class VisualUpdate:
 
 
 def reject_moving(landmarks: Landmarks, index: I64, residual: F64) -> Landmarks:
-    """Mark landmarks whose residual keeps its sign from exposure to exposure, because they move slowly.
+    """Return the landmarks, with slowly moving ones marked: their residual keeps its sign from exposure to exposure.
 
     Args:
         landmarks: landmarks; a moving one is returned with `rejections` set to `MAX_REJECTIONS`.

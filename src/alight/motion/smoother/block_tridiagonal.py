@@ -47,7 +47,7 @@ class BlockTridiagonal:
                 S = self._diagonal[b + 1] - self._below[b] @ self._gains[b]
 
     def solution(self) -> F64:
-        """Return the unknowns x."""
+        """Return the solution x, (blocks * size,)."""
         x = self.g.reshape(-1, self.size).copy()
         for b, gain in enumerate(self._gains):
             x[b + 1] -= gain.T @ x[b]
@@ -67,11 +67,9 @@ class BlockTridiagonal:
         return out
 
     def joint(self, rows: NDArray[np.int64], own: F64) -> F64:
-        """Return the inverse of A at the m unknowns `rows`, ascending, (m, m); `own` is the result of `covariance`.
-
-        The loop runs backward over the blocks: the cross covariance of block b with any later unknown is that of block
-        b + 1, times minus the gain. It needs memory for the result and for `size` times m numbers.
-        """
+        """Return the inverse of A at the m unknowns `rows`, ascending, (m, m); `own` is the result of `covariance`."""
+        # backward over the blocks: the cross covariance of block b with any later unknown is that of block b + 1, times
+        # minus the gain
         size, m = self.size, len(rows)
         out, later = np.zeros((m, m)), np.empty((size, 0))  # `later`: of block b + 1 with the rows from it on
         for b in reversed(range(len(self._factors))):

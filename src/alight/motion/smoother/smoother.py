@@ -58,8 +58,8 @@ def smooth_flight(recording: RecordedFlight) -> RefinedMotions:
 class _NavRow:
     """One row of GPS/INS, with the exposure before it, the preintegral up to it, and its errors."""
 
-    k: int
-    dt: float
+    k: int  # index of that exposure
+    dt: float  # s from that exposure to the row
     preintegral: Preintegral | None  # None: without IMU
     sample: NavSample
     decay: F64  # (9,) decay of the slow errors from the exposure to the row
@@ -88,13 +88,13 @@ class _Batch:
         self._nav_rows = [row for s in r.nav if (row := self._nav_row(s, imu)) is not None]
 
     def _preintegrated(self, imu: ImuBuffer, k: int, end_ns: int) -> Preintegral | None:
-        """Return the preintegral from exposure k to a later time; None before there is an IMU."""
+        """Return the preintegral from exposure `k` to the time `end_ns`; None before there is an IMU."""
         if k < self._inertial:
             return None
         return preintegrate(imu, self._t[k], end_ns, self._x[k, AT.biases], self._settings)
 
     def _nav_row(self, sample: NavSample, imu: ImuBuffer) -> _NavRow | None:
-        """Return a GPS/INS row with the exposure before it; None before all exposures or an interval after them."""
+        """Return a GPS/INS row with the exposure before it; None before the first exposure or long after the last."""
         k = bisect_right(self._t, sample.t_ns) - 1
         if k < 0 or sample.t_ns - self._t[-1] > np.median(np.diff(self._t)):
             return None
@@ -104,7 +104,7 @@ class _Batch:
         return _NavRow(k, dt, self._preintegrated(imu, k, sample.t_ns), sample, decay, variance)
 
     def run(self) -> RefinedMotions:
-        """Solve for all unknowns by Gauss-Newton, with weights of observations that follow the residuals."""
+        """Solve for all unknowns by iteratively reweighted Gauss-Newton; return the refined motions."""
         self._segments.triangulate(*self._rigs())
         for i in range(_ITERATIONS):
             rms = self._segments.reweigh(*self._rigs())
@@ -122,9 +122,8 @@ class _Batch:
     def _joint(self, motions: tuple[Motion, ...], system: BlockTridiagonal, own: F64) -> KeyframePosterior:
         """Return the joint posterior of the exposures, or of `_MOST_JOINT` evenly spaced ones (M22b).
 
-        As in the keyframe posterior (M23), tracking errors are correlated. So the covariance of the poses relative to
-        the middle pose is inflated by the median residual and by `smoother_repeat`; the middle pose keeps its own
-        covariance.
+        Because tracking errors are correlated, the covariance relative to the middle pose is inflated by the median
+        residual and by `smoother_repeat`. `own` is the result of `system.covariance`.
         """
         K = len(motions)
         some = np.unique(np.linspace(0, K - 1, min(K, _MOST_JOINT)).round().astype(int))
@@ -211,20 +210,14 @@ class _Batch:
             system.add(rows, J.T @ W @ J, -J.T @ W @ e)
 
     def _nav_drift(self, k: int, dt: float) -> tuple[F64, F64]:
-        """Return the (9,) decay and added variance of the GPS/INS errors from exposure k to the next (M10).
-
-        Their variance is what the rows claim at both exposures: where later rows claim less, the errors become smaller.
-        """
+        """Return the (9,) decay and added variance of GPS/INS errors from exposure `k` to the next, `dt` s later."""
+        # where later rows claim a smaller variance, the errors become smaller
         before, after = self._nav_sigma[k], self._nav_sigma[k + 1]
         decay = nav_decay(dt, before, self._settings)[0] * np.minimum(after / before, 1.0)
         return decay, after**2 - (decay * before) ** 2
 
     def _add_nav(self, system: BlockTridiagonal, row: _NavRow) -> None:
-        """Add a GPS/INS row at the exposure before it (M14-M16); each of its quantities has a Cauchy weight.
-
-        The noise consists of the row's white part, and of the motion model's noise and the drift of the slow error up
-        to it.
-        """
+        """Add a GPS/INS row at the exposure before it (M14-M16), each of its quantities with a Cauchy weight."""
         after, F, Q = self._propagated(row.k, row.dt, row.preintegral)
         z, nav = row.sample, row.decay * self._x[row.k, AT.nav]
         parts = list[tuple[Quantity, F64]]()
@@ -266,7 +259,7 @@ class _Batch:
 
 
 def _nav_sigmas(nav: Sequence[NavSample], times: Sequence[int], settings: FilterSettings) -> F64:
-    """Return (K, 9) 1-sigmas at each time: each quantity's from the last GPS/INS row that holds it, else the first."""
+    """Return the (K, 9) 1-sigma of GPS/INS at each time, from the last row that holds the quantity, else the first."""
     if not nav:
         return np.ones((len(times), 9))
     out = np.tile(sigmas(nav[0], settings), (len(times), 1))

@@ -19,14 +19,14 @@ _POINT_PRIOR = 1e-4  # 1/m^2 on the diagonal of a point's information: fixes poi
 
 
 def in_camera(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> F64:
-    """Return the coordinates of world points `x` (N, 3) in a camera, for one rig pose (N, 3, 3), (N, 3) per point."""
+    """Return world points `x` (N, 3) in the frame of a camera, for one rig pose `R` (N, 3, 3), `p` (N, 3) per point."""
     return np.asarray((((x - p)[:, None] @ R)[:, 0] - rig_from_cam.translation) @ rig_from_cam.rotation)
 
 
 def jacobians(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> tuple[F64, F64]:
-    """Return the Jacobians of normalised coordinates by the rig pose (N, 2, 6) and by the point (N, 2, 3).
+    """Return the Jacobians of normalised coordinates with respect to rig pose (N, 2, 6) and point (N, 2, 3).
 
-    With d = x - p, C = cam_from_world: d(q) = C (dx - dp + [d]x theta); theta is the rotation error in the world (M11).
+    With C = cam_from_world and a rotation error theta in the world, dq = C (dx - dp + [x - p]x theta) (M11).
     """
     q = in_camera(R, p, rig_from_cam, x)
     w = 1.0 / np.maximum(q[:, 2], MIN_DEPTH)
@@ -47,7 +47,8 @@ class TrackSegments:
         """Cut the tracks of all exposures into segments.
 
         Args:
-            sigma: 1-sigma of a normalised coordinate, for each row of all tracks in turn.
+            tracks: tracks of each exposure.
+            sigma: 1-sigma of a normalised coordinate, for each row of all `tracks` in turn.
             cams: rig_from_cam of the cameras.
             span: longest segment, exposures.
         """
@@ -70,7 +71,7 @@ class TrackSegments:
         self._cams = cams
 
     def _by_camera(self, R: F64, p: F64) -> list[tuple[NDArray[np.intp], F64, F64, Pose]]:
-        """Return, for each camera, indices of its observations, rig poses (N, 3, 3), (N, 3), and rig_from_cam."""
+        """Return, for each camera, its observations' indices (N,), rig poses (N, 3, 3), (N, 3), and rig_from_cam."""
         out = []
         for i, cam in enumerate(self._cams):
             index = np.flatnonzero(self.cam == i)
@@ -96,12 +97,9 @@ class TrackSegments:
         return out
 
     def reweigh(self, R: F64, p: F64) -> float:
-        """Set the weights of the Cauchy cost and return the rms of the weighted residuals, in sigmas.
-
-        The weight of an observation is multiplied by the mean of its segment, because a point that moves is wrong as a
-        whole. The scale follows the median residual down to two sigmas, so that poor initial poses do not look like bad
-        observations.
-        """
+        """Set the weights of the Cauchy cost and return the rms of the weighted residuals, in sigmas."""
+        # weights are multiplied by the mean of their segment, because a point that moves is wrong as a whole. The scale
+        # follows the median residual down to two sigmas, so that poor initial poses do not look like bad observations
         e = self.residuals(R, p) / self.sigma[:, None]
         square = (e**2).sum(axis=1)
         valid = np.isfinite(square)
@@ -115,8 +113,7 @@ class TrackSegments:
     def median_misfit(self, R: F64, p: F64) -> float:
         """Return the median over segments of the squared residual (in sigmas) per degree of freedom; 0 if none exist.
 
-        Segments with a point behind a camera are ranked as the worst. If most are such, the largest of the others is
-        returned.
+        Segments with a point behind a camera rank last; if most are such, the largest value of the others is returned.
         """
         square = ((self.residuals(R, p) / self.sigma[:, None]) ** 2).sum(axis=1)
         freedom = np.maximum(2 * np.diff(self.starts) - 3, 1)
@@ -135,11 +132,7 @@ class TrackSegments:
 
 
 class LinearisedSegments:
-    """Linearised observations with the points eliminated: the Schur complement in factors (M21).
-
-    The couplings G of all observations of a point are stacked over the poses. G G' is subtracted from the normal matrix
-    of the poses, and G z from the right side, with z = root' gradient.
-    """
+    """Linearised observations of track segments with the points eliminated (Schur complement, M21)."""
 
     def __init__(self, segments: TrackSegments, residual: F64, by_pose: F64, by_point: F64) -> None:
         self._segments, self._residual, self._by_pose, self._by_point = segments, residual, by_pose, by_point
@@ -175,7 +168,7 @@ class LinearisedSegments:
         return H - G @ G.T, g - G @ self._reduced_gradient[chosen].ravel()
 
     def move_points(self, pose_step: F64) -> None:
-        """Move the points by their steps for a (K, 6) step of the poses."""
+        """Move the points by the steps that follow from a (K, 6) step of the poses."""
         s = self._segments
         predicted = np.einsum("nki,ni->nk", self._by_pose, pose_step[s.exposure])
         moved = np.add.reduceat(np.einsum("nki,nk->ni", self._by_point, predicted), s.starts[:-1])

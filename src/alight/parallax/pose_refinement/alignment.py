@@ -30,42 +30,45 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class RefinementCells:
-    """Cells of the map that take part in the solve."""
+    """Sample of the map's cells that takes part in the solve."""
 
     xs: F64  # (C,) metres east
     ys: F64  # (R,) metres north
     height: F32  # (R, C) metres; NaN: the cell is left out
-    kappa: F32  # (R, C) one over the variance of a height about the map's plane
-    about: F64  # (2,) metres east and north, where the plane's offset is taken
+    kappa: F32  # (R, C) inverse variance of a height relative to the map's plane, 1 / metres^2
+    about: F64  # (2,) metres east and north of the point at which the plane's offset is defined
     arm: float  # metres from a cell to the samples for the template's gradient
 
     def coarser(self) -> RefinementCells:
-        """Return every second row of the cells, for pictures of half the resolution."""
+        """Return the cells for pictures of half the resolution: every second row, with twice the `arm`."""
         half = slice(None, None, 2)
         return replace(self, ys=self.ys[half], height=self.height[half], kappa=self.kappa[half], arm=2 * self.arm)
 
 
 @dataclass(eq=False)
 class Alignment:
-    """Joint Gaussian over the exposures of a keyframe window and the plane of the map below them."""
+    """Joint Gaussian over the poses of a keyframe window and the error of the map's plane, kept from step to step."""
 
     settings: ParallaxSettings
-    about: F64 = field(default_factory=lambda: np.zeros(2))  # metres east and north, where the plane's offset is taken
+    about: F64 = field(default_factory=lambda: np.zeros(2))  # metres east and north of the plane's reference point
     state: PoseGaussian | None = None
-    plane: F64 = field(default_factory=lambda: np.zeros(PLANE))  # error of the map's plane that the last step found
+    plane: F64 = field(default_factory=lambda: np.zeros(PLANE))  # error of the map's plane, found in the last step
     _mounts: dict[tuple[int, int], Pose] = field(default_factory=dict)  # body_from_cam by time and camera
-    mapped: bool = False  # whether there are heights that fix the plane
+    mapped: bool = False  # whether the map has had trusted heights, which fix the plane
     _offset2: float = 0.0  # m^2, variance of the map's height in the world, which pictures do not show
 
     @property
     def tuning(self) -> PoseRefinementTuning:
-        """Constants of the refinement."""
+        """Constants of the pose refinement."""
         return self.settings.poses
 
     def update_posterior(self, poses: KeyframePosterior, held: set[int], drop: float) -> None:
-        """Adopt the posterior of the keyframes; exposures that are neither in it nor `held` (times in ns) are dropped.
+        """Adopt the joint posterior of the keyframes.
 
-        `drop`: height of the camera above the ground, metres.
+        Args:
+            poses: the posterior.
+            held: times of the exposures in the window, ns; exposures that are neither held nor in `poses` are dropped.
+            drop: height of the camera above the ground, metres.
         """
         if self.state is None:
             self.state, self.about = (
@@ -85,11 +88,11 @@ class Alignment:
     ) -> dict[int, list[Kept]]:
         """Return the exposures, by time in ns, with their poses refined against the map `known` on `grid`.
 
-        Also set `plane` to the error of the map that was found. Without a posterior of every exposure, nothing is
-        refined.
+        Also set `plane` to the error of the map's plane that was found. Unless each exposure has a posterior, nothing
+        is refined.
 
         Args:
-            old: (R, C) cells whose heights belong to other poses and are treated as unknown.
+            old: (R, C) cells whose heights were found with other poses; they are treated as unknown.
             ground: height of the ground, metres.
         """
         newest = exposures[max(exposures)][0].view
@@ -109,9 +112,10 @@ class Alignment:
         return poses[k.view.t_ns] @ self._mounts[k.view.t_ns, k.view.cam]
 
     def prior(self, drop: float, here: F64) -> PoseGaussian:
-        """Return the state as prior of a solve: its plane may have wandered about `here` (2,), metres east and north.
+        """Return the prior of the next solve: the state, with the variance by which the map's plane may have wandered.
 
-        Before there is a map, the plane is free. `drop`: height of the camera above the ground, metres.
+        Before there is a map, the plane is free. `drop` is the height of the camera above the ground, metres; `here`
+        (2,) is the point about which the plane tilts, metres east and north.
         """
         assert self.state is not None
         scale, P = np.array([drop, 1.0, 1.0]), self.state.covariance.copy()
@@ -125,7 +129,7 @@ class Alignment:
 
     @staticmethod
     def _transition(way: F64) -> F64:
-        """Return the (3, 3) transition of a plane to a reference point `way` (2,) metres east and north of its own."""
+        """Return the (3, 3) matrix that moves the reference point of a plane by `way` (2,), metres east and north."""
         out = np.eye(PLANE)
         out[0, 1:] = way
         return out
@@ -135,8 +139,8 @@ class Alignment:
     ) -> tuple[PoseGaussian, F64]:
         """Return the posterior given the pictures, and the error (3,) of the map's plane (eqs. 17 to 24).
 
-        The views `kept` are of exposures that the prior holds. If the pictures contradict the prior, it is returned
-        unchanged, with a plane error of zero. `drop`: height of the cameras above the ground, metres.
+        If the pictures contradict the prior, the prior is returned, with a plane error of zero. The prior contains the
+        exposures of all views in `kept`. `drop` is the height of the cameras above the ground, metres.
         """
         tuning, pixel = self.tuning, cells.arm / drop  # rad, angle of a pixel
         used = {k.view.t_ns for k in kept}
@@ -173,7 +177,7 @@ class Alignment:
         return prior.corrected(across @ whitened, follow @ after @ follow.T), prior.plane + x[:PLANE]
 
     def _cells(self, grid: Grid, known: ElevationMap, old: Mask, ground: float, drop: float) -> RefinementCells:
-        """Return a thinned set of cells: trusted cells tied to the map's heights, unseen cells free, no others."""
+        """Return sampled cells: trusted ones tied to the map's heights, unseen or `old` ones with free heights."""
         every, (xs, ys) = max(1, round((grid.rows * grid.cols / self.tuning.cells) ** 0.5)), grid.xy()
         some = slice(every // 2, None, every), slice(every // 2, None, every)
         height, sigma, flags, other = known.height[some], known.sigma[some], known.flags[some], old[some]
@@ -189,11 +193,11 @@ class Alignment:
         )
 
     def plane_on(self, grid: Grid) -> F32:
-        """Return the correction of the map's heights that the last step found, (R, C) metres."""
+        """Return the correction (R, C) of the map's heights by `plane`, metres."""
         return plane_on(*grid.xy(), self.plane, self.about)
 
     def datum(self, grid: Grid) -> Datum | None:
-        """Return the offset and tilt common to all heights of a window, with covariance; None without a map."""
+        """Return the covariance of the offset and tilt that all heights of a window share; None without a map."""
         if self.state is None or not self.mapped:
             return None
         east, north = (float(v.mean()) for v in grid.xy())
@@ -204,7 +208,7 @@ class Alignment:
 
 
 def _linearisations(state: PoseGaussian, drop: float, cell: float, tuning: PoseRefinementTuning) -> tuple[int, ...]:
-    """Return the halvings of the pictures for each linearisation; there are more if the newest pose is uncertain."""
+    """Return the picture halvings per linearisation: one without halving; several if the newest pose is uncertain."""
     P, n = state.covariance, len(state.covariance) - POSE
     own = np.diag(P[n:, n:] - regress_on(P[:n, :n], P[:n, n:]) @ P[:n, n:])  # given all other exposures
     v = np.maximum(own, 0.0)
@@ -215,7 +219,10 @@ def _linearisations(state: PoseGaussian, drop: float, cell: float, tuning: PoseR
 
 
 def _following(seen: F64, rows: NDArray[np.int64], size: int, share: float) -> F64:
-    """Return the transition of the errors if the next step takes `share` of its heights from these poses (eq. 24)."""
+    """Return the transition of all errors if the next step takes `share` of its heights from these poses (eq. 24).
+
+    `seen` is the matrix of the normal equations of plane and poses, `rows` are their indices among all `size` errors.
+    """
     out = np.eye(size)
     out[:PLANE, :PLANE] *= 1 - share
     out[:PLANE, rows[PLANE:]] = -share * np.linalg.lstsq(seen[:PLANE, :PLANE], seen[:PLANE, PLANE:], rcond=None)[0]
@@ -249,7 +256,7 @@ def _information(
 
 
 def _crosses(views: list[Prepared], ground: RefinementCells, height: F32, held: Buffers) -> F32:
-    """Return samples (N, 5, R, C) at the cells and at `arm` metres east, west, north and south of them."""
+    """Return samples (N, 5, R, C) at the cells and `ground.arm` metres east, west, north and south of them."""
     n, (rows, cols), a = len(views), height.shape, ground.arm
     out = held.get("crosses", (n, 5, rows, cols))
     xs, ys, level = ground.xs, ground.ys, np.tile(height, (3, 1))
@@ -262,7 +269,7 @@ def _crosses(views: list[Prepared], ground: RefinementCells, height: F32, held: 
 
 
 def _precision(samples: F32, weights: F32, mean: F32, tuning: PoseRefinementTuning) -> F64:
-    """Return the (N,) inverse variances of the views' samples; 0 for a view that shares too little ground."""
+    """Return the (N,) inverse variance of each view's samples about the template `mean`; 0 if there are too few."""
     e = np.where(weights > 0, samples - mean, np.float32(0))
     total = weights.sum(axis=(1, 2), dtype=np.float64)
     enough = (weights > 0).sum(axis=(1, 2)) >= tuning.least_cells

@@ -18,24 +18,24 @@ from alight.records import KeyframePosterior
 
 
 def corrected_pose(pose: Pose, error: F64) -> Pose:
-    """Return the pose corrected for an error (6,): position [m], then rotation vector [rad], in world axes."""
+    """Return `pose` with `error` (6,) added: position [m], then rotation vector [rad], in world axes."""
     return Pose(so3_exp(error[3:]) @ pose.rotation, pose.translation + error[:3])
 
 
 def corrected_poses(poses: dict[int, Pose], error: F64) -> dict[int, Pose]:
-    """Return the poses of E exposures corrected for an error (3 + 6E,), whose first three elements are the plane's."""
+    """Return the poses of E exposures with `error` (3 + 6E,) added; its first three elements are the plane's."""
     errors = error[PLANE:].reshape(-1, POSE)
     return {t: corrected_pose(p, e) for (t, p), e in zip(poses.items(), errors, strict=True)}
 
 
 def between(a: Pose, b: Pose) -> F64:
-    """Return the error (6,), position [m] and rotation vector [rad], that takes pose `a` to pose `b`."""
+    """Return the error (6,), position [m] and rotation vector [rad], that must be added to pose `a` to get pose `b`."""
     return np.concatenate([b.translation - a.translation, so3_log(b.rotation @ a.rotation.T)])
 
 
 @dataclass(frozen=True, eq=False)
 class PoseGaussian:
-    """Means and joint covariance of errors, which must be added to the map's plane and to the poses.
+    """Joint Gaussian of errors that must be added to the map's plane and to E poses.
 
     The plane's error is its offset up [m] and its rise per metre towards east and north [rad]. The error of a pose is
     its position [m] and rotation vector [rad] in world axes.
@@ -56,10 +56,10 @@ class PoseGaussian:
         return PLANE + _rows_of([k for k, t in enumerate(self.poses) if t in times])
 
     def with_posterior(self, posterior: KeyframePosterior) -> PoseGaussian:
-        """Return the distribution with the posterior of the keyframes adopted (eq. 23).
+        """Return the distribution in which `posterior` replaces the distribution of the keyframes (eq. 23).
 
-        The joint distribution of the keyframes is replaced. The distribution of the other exposures and of the plane,
-        conditional on the keyframes, is kept, so that they follow the keyframes. New exposures are appended.
+        The distribution of all other unknowns given the keyframes stays, so that they follow the keyframes. New
+        exposures are appended.
         """
         at = {m.t_ns: k for k, m in enumerate(posterior.motions)}
         shared = [t for t in self.poses if t in at]
@@ -88,13 +88,13 @@ class PoseGaussian:
         return PoseGaussian(means, out, self.plane + shift[:PLANE], np.concatenate([self.start - shift, lead]))
 
     def kept(self, times: Collection[int]) -> PoseGaussian:
-        """Return the distribution of the plane and the exposures at these times (ns); all others are marginalised."""
+        """Return the distribution of the plane and of the exposures at `times`, ns; others are marginalised."""
         keep = np.concatenate([np.arange(PLANE), self.rows(times)])
         poses = {t: p for t, p in self.poses.items() if t in times}
         return replace(self, poses=poses, covariance=self.covariance[np.ix_(keep, keep)], start=self.start[keep])
 
     def corrected(self, error: F64, covariance: F64) -> PoseGaussian:
-        """Return the distribution with poses and map corrected for an error (3 + 6E,), and with this covariance."""
+        """Return the distribution with `error` (3 + 6E,) added to its poses, no plane error, and this `covariance`."""
         poses, start = corrected_poses(self.poses, error), np.zeros(len(error))
         return replace(self, poses=poses, covariance=covariance, plane=np.zeros(PLANE), start=start)
 
@@ -102,13 +102,11 @@ class PoseGaussian:
 def regress_on(P: F64, across: F64) -> F64:
     """Return the regression coefficients (m, n) of m variables on n variables.
 
-    Errors common to all n variables make `P` singular. So 1e-9 of its variances is added, which does not change the
-    result.
-
     Args:
         P: (n, n) covariance of the n variables.
         across: (n, m) cross-covariance of both groups.
     """
+    # errors common to all n variables make `P` singular; 1e-9 of its variances is added, which changes nothing else
     if not len(P):
         return np.zeros((across.shape[1], 0))
     return np.asarray(np.linalg.solve(P + np.diag(1e-9 * np.diag(P) + 1e-18), across).T)

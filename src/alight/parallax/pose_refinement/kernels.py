@@ -22,10 +22,8 @@ def _view(
     point: F64, gradient: F64, i: int, k: int, centres: F64, pivots: F64, w: float, e: float, row: F64,
     sums: F64, A: F64, b: F64,
 ) -> float:  # fmt: skip
-    """Add view `i` of exposure `k` to its own block and to the sums of w J and w q J (eq. 18); return q.
-
-    It reads single elements instead of slices, because a slice takes longer than the sums.
-    """
+    """Add view `i` of exposure `k` at one cell to `A`, `b` and to the `sums` of w J and w q J (eq. 18); return q."""
+    # single elements instead of slices, because a slice takes longer than the sums
     gx, gy, at = gradient[0], gradient[1], PLANE + POSE * k
     q = (gx * (point[0] - centres[i, 0]) + gy * (point[1] - centres[i, 1])) / (centres[i, 2] - point[2])
     dx, dy, dz = point[0] - pivots[k, 0], point[1] - pivots[k, 1], point[2] - pivots[k, 2]
@@ -46,7 +44,7 @@ def _cell(
     point: F64, phi: F64, gradient: F64, s: F32, weights: F32, mean: float, owner: I64, centres: F64, pivots: F64,
     precision: F64, kappa: float, sums: F64, row: F64, A: F64, b: F64,
 ) -> None:  # fmt: skip
-    """Add one cell with its template value and height eliminated (eqs. 19, 20)."""
+    # one cell, with its template value and height eliminated (eqs. 19, 20)
     sw, sq, sqq, se, sqe = 0.0, 0.0, 0.0, 0.0, 0.0
     sums[:] = 0.0
     for i in range(s.size):
@@ -80,16 +78,18 @@ def joint_normal_equations(
     samples: F32, weights: F32, mean: F32, owner: I64, centres: F64, pivots: F64, precision: F64,
     xs: F64, ys: F64, h: F32, about: F64, arm: float, kappa: F32, A: F64, b: F64,
 ) -> None:  # fmt: skip
-    """Fill the upper triangle of the normal equations of the map's plane and the poses, one system per row of cells.
+    """Write the upper triangle of the normal equations of the map's plane and the poses, one system per row of cells.
 
     Args:
         samples, weights: (N, R, C) samples of the views at the cells, and their weights.
         mean: (5, R, C) template at the cells and `arm` metres east, west, north and south of them.
         owner: (N,) index of the exposure of each view.
-        centres: (N, 3) camera centres; pivots: (E, 3) positions about which the exposures turn; metres.
-        precision: (N,) one over the variance of each view.
-        xs, ys, h: position of the cells, metres; about: (2,) metres, where the plane's offset is taken.
-        kappa: (R, C) one over the variance of a height about the map's plane.
+        centres: (N, 3) camera centres, metres.
+        pivots: (E, 3) positions about which the exposures turn, metres.
+        precision: (N,) inverse variance of each view's samples.
+        xs, ys, h: (C,), (R,), (R, C) east, north and height of the cells, metres.
+        about: (2,) point at which the plane's offset is defined, metres.
+        kappa: (R, C) inverse variance of a height relative to the map's plane.
         A, b: (R, 3 + 6E, 3 + 6E), (R, 3 + 6E) out.
     """
     n, rows, cols = samples.shape
