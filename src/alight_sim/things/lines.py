@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -13,6 +15,7 @@ from alight_sim.kernels.layers import along_line
 from alight_sim.looks import Look
 from alight_sim.materials import tables
 from alight_sim.relief import noise
+from alight_sim.section import Coordinate
 from alight_sim.things.base import (
     UNTINTED,
     CoverName,
@@ -21,6 +24,7 @@ from alight_sim.things.base import (
     Places,
     Sheet,
     Tint,
+    along_and_across,
     covered,
     ramp,
     terrain_named,
@@ -33,6 +37,7 @@ LONGEST = 200_000.0  # metres of a path
 PIECE = 2.0  # metres between the places where a road takes the ground's height
 SMOOTH = 5  # pieces either way over which a road evens the ground out
 WHITE = 3.2  # brightness of paint over that of asphalt
+LANE = 1.22  # metres, width of a runner's lane
 WIRE = 0.9  # reflectance of ground under a wire, over that of the ground beside it
 
 
@@ -47,9 +52,8 @@ def _line(value: Places) -> Places:
 Line = Annotated[Places, AfterValidator(_line)]
 
 
-def pieces(path: Places, length: float) -> F64:
-    """(N, 4) east, north, metres along, 0: the path cut into pieces of about `length`."""
-    corners = np.array(path)
+def pieces(corners: F64, length: float) -> F64:
+    """(N, 4) east, north, metres along, 0: a path (N, 2) cut into pieces of about `length`."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
     cuts = np.linspace(0.0, along[-1], max(2, round(along[-1] / length) + 1))
     s = np.union1d(along, cuts)
@@ -72,7 +76,17 @@ def winding(line: F64, wander: float, seed: int) -> F64:
 class Lined(Layer):
     """Things that follow a path."""
 
-    path: Line = Field(description="[[east, north], ...] metres from the origin")
+    path: Line = Field(description="[[east, north], ...] metres from the origin, or from `at`")
+    at: tuple[Coordinate, Coordinate] = Field(
+        (0.0, 0.0), description="[east, north] metres: the path counts from there"
+    )
+    turn_deg: float = Field(0.0, description="of the path about `at`, counter-clockwise")
+
+    @property
+    def placed(self) -> F64:
+        """(N, 2) east and north of the path's corners, metres from the origin."""
+        u, v = np.array(self.path).T
+        return np.column_stack(along_and_across(u, v, -math.radians(self.turn_deg))) + self.at
 
     def reach(self) -> float:
         """Distance from the path within which the ground changes, metres."""
@@ -80,7 +94,7 @@ class Lined(Layer):
 
     def line(self, lay: Lay) -> F64:
         """(N, 4) east, north, metres along, height of the vertices."""
-        return pieces(self.path, 1e9)
+        return pieces(self.placed, 1e9)
 
     def ways(self, sheet: Sheet, lay: Lay) -> F64 | None:
         """(R, C, 3) aside, along, height of the line there; None: the line does not come near."""
@@ -110,8 +124,11 @@ class Roads(Lined):
     bank: float = Field(2.0, ge=0.0, le=30.0, description="metres over which it blends into the ground")
     kerb: float = Field(0.0, ge=-0.5, le=1.0, description="metres that the surface is above the ground beside it")
     ragged: float = Field(0.02, ge=0.0, le=0.5, description="wandering of its edges over the width")
-    marks: Literal["none", "dashed", "edges"] = Field("none", description="none | dashed | edges (with a dashed line)")
+    marks: Literal["none", "dashed", "edges", "lanes"] = Field(
+        "none", description="none | dashed | edges (with a dashed line) | lanes (of runners)"
+    )
     ruts: float = Field(0.0, ge=0.0, le=0.5, description="metres, depth of two wheel tracks")
+    flooded: float = Field(0.0, ge=0.0, le=1.0, description="share of the wheel tracks that stands under water")
     grass_between: bool = Field(False, description="grass between the wheel tracks")
 
     @property
@@ -125,7 +142,7 @@ class Roads(Lined):
 
     def line(self, lay: Lay) -> F64:
         """(N, 4) vertices with the ground's heights, evened out along the path."""
-        line = pieces(self.path, PIECE)
+        line = pieces(self.placed, PIECE)
         heights = lay.before(line[:, :1], line[:, 1:2]).ground[:, 0]
         padded = np.pad(heights, SMOOTH, mode="edge")
         line[:, 3] = np.convolve(padded, np.full(2 * SMOOTH + 1, 1.0 / (2 * SMOOTH + 1)), "valid")
@@ -156,6 +173,9 @@ class Roads(Lined):
     def _marks(self, sheet: Sheet, inside: Mask, aside: F64, along: F64) -> None:
         if self.marks == "none":
             return
+        if self.marks == "lanes":
+            sheet.tint[inside & (np.abs(aside / LANE - np.round(aside / LANE)) * LANE < 0.03)] *= WHITE
+            return
         white = (np.abs(aside) < 0.07) & (along % 9.0 < 3.0)
         if self.marks == "edges":
             white |= np.abs(np.abs(aside) - 0.5 * self.width + 0.25) < 0.07
@@ -166,6 +186,12 @@ class Roads(Lined):
         groove = np.maximum(1.0 - ((away - gauge) / 0.28) ** 2, 0.0)
         depth = self.ruts * (0.8 + 0.3 * noise(sheet.x, sheet.y, lay.seed + 6, 4.0, 0.5))
         sheet.ground -= np.where(inside, depth * groove, 0.0)
+        if self.flooded > 0.0:
+            low = NormalDist().inv_cdf(min(max(self.flooded, 1e-6), 1.0 - 1e-6))
+            wet = inside & (groove > 0.35) & (noise(sheet.x, sheet.y, lay.seed + 7, 9.0, 1.5) < low)
+            sheet.ground += np.where(wet, depth * (groove - 0.35), 0.0)
+            sheet.depth[wet] = np.maximum(depth * (groove - 0.35), 0.01)[wet]
+            sheet.paint(..., wet, Terrain.WATER, Look.STILL_WATER)
         if self.grass_between:
             green = inside & (away < gauge - 0.25)
             sheet.paint(..., green, Terrain.SHORT_GRASS)
@@ -198,7 +224,7 @@ class Walls(Lined):
         """(N, 4) vertices of the path, or of a line that winds about it."""
         if self.wander == 0.0:
             return super().line(lay)
-        return winding(pieces(self.path, self.wander), self.wander, lay.seed)
+        return winding(pieces(self.placed, self.wander), self.wander, lay.seed)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         """Raise the cells that the wall covers."""
