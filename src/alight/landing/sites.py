@@ -129,7 +129,7 @@ class _Choice:
             "obstacle": float(hazards.p_obstacle[at]),
             "ground": float(hazards.p_ground[at]),
         }
-        doubt: Doubt = min(factors, key=factors.__getitem__)
+        doubt: Doubt = min(factors, key=lambda k: np.nan_to_num(factors[k], nan=1.0))
         look = None
         if candidate and self.observer is not None:
             place, settles_at = np.array([east, north, up]), float(hazards.settles_at[at])
@@ -210,7 +210,7 @@ def choose_sites(
 
     Args:
         hazards: reasons against a touchdown, P(safe) with its factors, quality and clearance of every cell.
-        land_cover: classes to report for each site; None: unknown.
+        land_cover: classes to report for each site; None: the kind of ground was not judged.
         elevation: heights; its cells may be finer than the cells of the hazards.
         settings: number of sites, their least distance, and weights of the score.
         lander: the vehicle's footprint.
@@ -227,7 +227,8 @@ def choose_sites(
     undecided = _peaks(c.candidate_score(room), grid, settings.count - len(safe), apart, safe)
     sites = tuple(c.place(i + 1, at, hazards.clearance, False) for i, at in enumerate(safe))
     candidates = tuple(c.place(len(safe) + i + 1, at, room, True) for i, at in enumerate(undecided))
-    return Sites(sites, "" if sites else why_no_site(hazards, elevation, settings, lander), candidates=candidates)
+    reason = "" if sites else why_no_site(hazards, elevation, settings, lander)
+    return Sites(sites, reason, candidates=candidates, ground_judged=land_cover is not None)
 
 
 def why_no_site(hazards: HazardMap, elevation: ElevationMap, settings: SitesSettings, lander: Lander) -> str:

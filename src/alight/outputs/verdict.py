@@ -89,6 +89,7 @@ def _contents(result: RunResult, plane: RasterPlane | None, sharpened: bool) -> 
         "reasons.tif": tif(rasters.reasons_raster(hazards)),
         "hazards.tif": tif(rasters.measures_raster(hazards, names, units)),
         "heights.tif": tif(_heights(elevation)) if sharpened else "no image made the heights finer",
+        **({} if result.terrain is None else {"terrain.tif": tif(rasters.terrain_raster(result.terrain))}),
         "sites.geojson": NO_PLACE if sites is None else lambda: vectors.json_bytes(sites),
         **report_file(result),
     }

@@ -36,6 +36,10 @@ Terms = Iterator[tuple[str, F32]]  # features one by one, (R, C) each: all of th
 NEAR, WIDE = 0.4, 2.0  # metres, 1-sigma of the mean of the strength of detail
 REACH = 0.5  # metres, radius of local maxima and minima of the heights
 SPOT_REACH = 0.4  # metres, search radius of dark and bright spots
+OF_MATCHING = frozenset(  # unknown for surveyed heights
+    (SurfaceTerm.RESIDUAL, SurfaceTerm.RESIDUAL_2M, SurfaceTerm.SIGMA, SurfaceTerm.MOVING, SurfaceTerm.MOVING_2M,
+     SurfaceTerm.UNSURE, SurfaceTerm.REFUSED_2M, SurfaceTerm.TEXTURELESS, SurfaceTerm.SATURATED)
+)  # fmt: skip
 WIDTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # metres, 1-sigma: limits of the bands of log brightness
 
 
@@ -49,8 +53,10 @@ def plants(colours: Appearance, shape: Relief, moving: F32) -> F32:
 
 def land_cover_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -> Terms:
     """Yield the identifier and the values of each feature of every cell (T1)."""
-    known = seen(elevation)
+    known, matched = seen(elevation), np.isfinite(elevation.residual).any()
     for name, values in chain(_surface_terms(elevation, colours, shape), _picture_terms(elevation)):
+        if name in OF_MATCHING and not matched:
+            values = np.full_like(values, np.nan)
         yield name, values
         if name in FRAME_TERMS:
             some = values[::4, ::4][known[::4, ::4]]
