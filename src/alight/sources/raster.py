@@ -35,8 +35,8 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
     """Read a height raster as a map that can be judged.
 
     Args:
-        path: raster of heights; its band named `sigma`, if any, holds their 1-sigma.
-        sigma: raster of 1-sigma, or one number in metres; None: the band `sigma`, else `usual_sigma`.
+        path: raster of heights; its band named `sigma`, `std` or `uncertainty`, if any, holds their 1-sigma.
+        sigma: raster of 1-sigma, or one number in metres; None: the band named so, else `usual_sigma`.
         image: image of the same ground, or None.
         usual_sigma: 1-sigma in metres if none is given.
 
@@ -60,7 +60,7 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
     spread = np.where((spread >= 0) & (spread < LARGEST_SIGMA), spread, np.nan).astype(np.float32)
     known &= np.isfinite(spread)
     if not known.any():
-        raise InputError(f"{path}: no height has a sigma; give --sigma in metres")
+        raise InputError(f"{path}: no height has a sigma above 0; give --sigma in metres")
     picture = None if image is None else image_beside(image, heights)
     doubts += picture.warnings if picture else []
     pixels = picture.values if picture else None

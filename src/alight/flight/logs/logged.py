@@ -133,6 +133,7 @@ def streams_of(log: AutopilotLog, path: str, separation: float | None, findings:
     streams = (attitude, position, velocity, accuracy, log.gyroscope)
     found = [line for s in streams if (line := _line(s))]
     origin = "the receiver" if separation is None else "sources.separation"
+    origin += f"; the receiver has {np.median(known):+.1f} m" if separation is not None and len(known) else ""
     found.append(f"ellipsoid above sea level: {apart:+.1f} m, by {origin}")
     return LoggedFlight(LocalFrame(*nav.values[0, :3].tolist()), nav, used, tuple(found))
 

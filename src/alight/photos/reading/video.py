@@ -39,20 +39,23 @@ class FilmClock:
     accuracy: float = 0.0  # m, error of positions by a possibly wrong offset; 0: the offset is reliable
 
 
-def open_video(path: Path, settings: Settings, log: Callable[[], FilmTelemetry | None] = lambda: None) -> Photos:
+def open_video(
+    path: Path, settings: Settings, log: Callable[[bool], FilmTelemetry | None] = lambda own: None
+) -> Photos:
     """Open a film as photos; its frames are extracted to a temporary folder that lives as long as the source.
 
     Args:
         path: the film.
         settings: all settings of the run.
-        log: returns the telemetry of an autopilot's log, or None; called if no telemetry lies next to the film.
+        log: returns the telemetry of the autopilot's log with the film's name if its argument is true, else of the only
+            log next to the film; None: there is none.
 
     Raises:
         InputError: the film cannot be decoded, has no telemetry with positions, or its clock offset is unclear.
     """
     with FilmFrames(path) as frames:
         seconds = frames.seconds
-    telemetry = telemetry_beside(path) or log() or telemetry_inside(path, seconds)
+    telemetry = telemetry_beside(path) or log(True) or _telemetry_inside(path, seconds, log) or log(False)
     if telemetry is None:
         raise InputError(f"{path}: has no telemetry; put {path.stem}.srt or {path.stem}.gpx beside it")
     folder = Path(tempfile.mkdtemp(prefix="alight-video-"))
@@ -78,6 +81,16 @@ def open_video(path: Path, settings: Settings, log: Callable[[], FilmTelemetry |
         source.findings.warn(clock.warning)
     weakref.finalize(source, shutil.rmtree, folder, True)
     return source
+
+
+def _telemetry_inside(path: Path, seconds: float, log: Callable[[bool], FilmTelemetry | None]) -> FilmTelemetry | None:
+    """Read the telemetry from a track of the film; without a reader of tracks, take the only log next to the film."""
+    try:
+        return telemetry_inside(path, seconds)
+    except InputError:
+        if (found := log(False)) is None:
+            raise
+        return found
 
 
 def film_clock(path: Path, seconds: float, telemetry: FilmTelemetry, given: float | None) -> FilmClock:
