@@ -38,8 +38,8 @@ COLUMNS = {  # names of the columns of a table, reduced to letters
 ROLES = {word: role for role, words in COLUMNS.items() for word in words.split()}
 WGS84 = pyproj.CRS.from_epsg(4326)
 UNDECLARED = "sea level or ellipsoid: not declared"
-REFERENCES = {  # columns of signs: first letters that leave a value positive, and that make it negative
-    "latitude ref": ("N", "S"), "longitude ref": ("E", "W"), "height ref": ("A02", "B13"),
+REFERENCES = {  # first letters in a column of hemispheres or `GPSAltitudeRef`: of positive and of negative values
+    "latitude": ("N", "S"), "longitude": ("E", "W"), "height": ("A02", "B13"),
 }  # fmt: skip
 FORM = "name x y [z] [yaw pitch roll] [sigma_h [sigma_v]]"  # of a line of geo.txt
 
@@ -181,11 +181,7 @@ def _read_geo(path: Path, lines: Sequence[tuple[int, str]], crs: pyproj.CRS) -> 
             first -= 1
         numbers = [float(w) for w in words[first:]]
         if len(numbers) not in (2, 3, 6, 7, 8) or not np.isfinite(numbers[:2]).all():
-            comma = (
-                "; write decimal points, not decimal commas, and blanks between the values"
-                if re.search(r"\d,\d", line)
-                else ""
-            )
+            comma = ", with points for decimal commas and blanks between" * bool(re.search(r"\d,\d", line))
             raise InputError(f"{path}: line {n}: needs {FORM}{comma}; it has {len(numbers)} number(s) after the name")
         rows.append((n, " ".join(words[:first]), numbers))
         counts[len(numbers)] += 1
@@ -252,13 +248,8 @@ def _header_of(lines: Sequence[str]) -> _Header | None:
 def _roles(columns: Sequence[str]) -> dict[int, str]:
     """Return the role of each column that is used; of several heights, one with a declared datum comes first."""
     named = [ROLES.get(re.sub("[^a-z]", "", _split_unit(column)[0].lower())) for column in columns]
-    undeclared = [
-        role == "height" and _datum(column) == UNDECLARED for role, column in zip(named, columns, strict=True)
-    ]
-    first = dict[str, int]()
-    for k in sorted(range(len(named)), key=undeclared.__getitem__):
-        if (role := named[k]) is not None:
-            first.setdefault(role, k)
+    order = sorted(range(len(named)), key=lambda k: named[k] == "height" and _datum(columns[k]) == UNDECLARED)
+    first = {role: k for k in reversed(order) if (role := named[k]) is not None}
     return {k: role for role, k in sorted(first.items(), key=lambda item: item[1])}
 
 
@@ -298,11 +289,16 @@ def _read_table(path: Path, lines: Sequence[str], header: _Header) -> Places:
                 "commas"
             )
         texts = {role: fields[k].strip() for k, role in roles.items()}
-        name, signs = texts.pop("name"), {role: texts.pop(role, "") for role in REFERENCES}
-        value = {role: units[role] * _value(f"{path}: line {n}", role, word) for role, word in texts.items()}
+        name, signs = texts.pop("name"), {role: texts.pop(f"{role} ref", "") for role in REFERENCES}
+        value = {"height": math.nan}
+        for role, word in texts.items():
+            number = math.nan if not word and role not in ("latitude", "longitude") else _number(word)
+            if number is None:
+                comma = "a decimal comma; write a point" if re.fullmatch(r"[-+]?\d+,\d+", word) else "no number"
+                raise InputError(f"{path}: line {n}: {word!r} is {comma}")
+            value[role] = number * units[role]
         for role, word in signs.items():
-            of = role.split()[0]
-            value[of] = _signed(f"{path}: line {n}", value.get(of, math.nan), word, REFERENCES[role])
+            value[role] = _signed(f"{path}: line {n}", value[role], word, REFERENCES[role])
         across = value.get("across", math.nan)
         sigma = _sigma(value.get("east", across), value.get("north", across), value.get("up", math.nan))
         _put(out, path, n, name, GivenPlace(value["latitude"], value["longitude"], up * value["height"], sigma))
@@ -321,14 +317,6 @@ def _declared(path: Path, comments: Sequence[str]) -> tuple[float, str]:
     if crs is None or not crs.is_geographic or crs.geodetic_crs is None or crs.geodetic_crs.name != WGS84.name:
         raise InputError(f"{path}: {text[:60]} is not WGS 84; write geo.txt, with this system in its first line")
     return _vertical(path, crs)
-
-
-def _value(where: str, role: str, word: str) -> float:
-    number = math.nan if not word and role not in ("latitude", "longitude") else _number(word)
-    if number is None:
-        comma = "a decimal comma; write a point" if re.fullmatch(r"[-+]?\d+,\d+", word) else "no number"
-        raise InputError(f"{where}: {word!r} is {comma}")
-    return number
 
 
 def _signed(where: str, value: float, word: str, letters: tuple[str, str]) -> float:
@@ -351,7 +339,7 @@ def _unit(path: Path, name: str) -> float:
 
 
 def _datum(column: str) -> str:
-    word = re.sub("[^a-z]", "", column.lower())
+    word = re.sub("[^a-z]", "", _split_unit(column)[0].lower())
     if any(part in word for part in ("msl", "orthometric", "sea", "geoid")):
         return f"sea level ({column})"
     return f"ellipsoid ({column})" if "ellips" in word or word == "hae" else UNDECLARED
@@ -369,8 +357,8 @@ def _number(text: str) -> float | None:
 
 def _sigma(east: float, north: float, up: float) -> tuple[float, float, float] | None:
     """Return the accuracies that are given, NaN for others; None if no accuracy is given."""
-    known = np.array([s if 0 < s < math.inf else math.nan for s in (east, north, up)])
-    return None if np.isnan(known).all() else (known[0], known[1], known[2])
+    east, north, up = (s if 0 < s < math.inf else math.nan for s in (east, north, up))
+    return None if all(math.isnan(s) for s in (east, north, up)) else (east, north, up)
 
 
 def _put(rows: dict[str, GivenPlace], path: Path, line: int, name: str, place: GivenPlace) -> None:

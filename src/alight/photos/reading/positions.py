@@ -165,7 +165,7 @@ def _compared_heights(
     others, name = (above, "heights above take-off") if np.isfinite(above).any() else (tagged, "altitudes")
     apart = drift(heights - others, flights)
     factor = factor_by(heights, others, lambda off: drift(off, flights))
-    if factor != 1.0 or apart > 2 * STEADY:
+    if np.isfinite(heights - others).sum() >= 3 and (factor != 1.0 or apart > 2 * STEADY):
         how = f"ten times as well {FACTORS[factor]}" if factor != 1.0 else f"only to {apart:.0f} m in a flight"
         contradictions.append(f"{file}: its heights follow the {name} of the tags {how}; they are used as written")
     known = np.isfinite(heights) & np.isfinite(tagged)
@@ -319,8 +319,8 @@ def _checked_by_takeoff(used: F64, relative: F64, flights: I64, contradictions: 
         return used
     if (factor := factor_by(used, relative, lambda off: drift(off, flights))) != 1.0:
         contradictions.append(
-            f"altitudes change as the heights above take-off only {FACTORS[factor]}: they are read so; from "
-            f"{np.median(used[known]):.1f} they become {factor * np.median(used[known]):.1f} m"
+            f"altitudes change as the heights above take-off only {FACTORS[factor]}: they are read so; "
+            f"{np.median(used[known]):.1f} becomes {factor * np.median(used[known]):.1f} m"
         )
         return factor * used
     apart = drift((used - relative)[known], flights[known])
