@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 
 from alight.arrays import F64, U8
-from alight.photos.reading.agreement import METRES_A_DEGREE
 from alight.photos.reading.photo_selection import LeftOut
 from alight.photos.reading.photo_tags import PhotoTags
 from alight.raster import grey_levels
@@ -20,7 +19,7 @@ ALIKE = 0.98  # least correlation of two pictures of one exposure, made small; n
 
 
 def repeated_photos(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]) -> LeftOut:
-    """Return the photos to leave out because the set holds a better copy: larger, or equally large with a shorter name.
+    """Return the photos to leave out because the set holds a better copy: larger, else with more tags.
 
     Copies have equal bytes, or their tags may be of one exposure (`_may_be_one`) and their pictures look alike.
 
@@ -28,7 +27,9 @@ def repeated_photos(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]
         photos: all photos of the set.
         read: decodes a photo, (H, W) or (H, W, 3); may raise ValueError.
     """
-    best_first = sorted(photos, key=lambda p: (-p.size[0] * p.size[1], len(p.path.name), p.path))
+    best_first = sorted(
+        photos, key=lambda p: (-p.size[0] * p.size[1], -len(p.exif) - len(p.gps) - len(p.xmp), len(p.path.name), p.path)
+    )
     out = list[PhotoTags]()
     for group in _groups(best_first, lambda p: p.path.stat().st_size):
         out += [p for same in _groups(group, _bytes_of) for p in same[1:]]
@@ -60,18 +61,17 @@ def _may_be_one(photos: Sequence[PhotoTags]) -> Iterator[tuple[int, list[int]]]:
     """Yield the index of each photo that may show the exposure of an earlier one, and the indices of those.
 
     Their cameras are equal, and time and position are equal or missing in one of them, but not both missing. Programs
-    that save a photo again may drop the fraction of a second and round the position, by up to a metre.
+    that save a photo again may drop the fraction of a second and round the position, by up to 1e-5 degrees (1 m).
     """
     cameras = np.unique([f"{c.make}|{c.model}|{c.band}" for c in (p.camera for p in photos)], return_inverse=True)[1]
     times = [p.time_ns for p in photos]
     whole, part = np.array([(np.nan, 0) if t is None else divmod(t, 10**9) for t in times]).reshape(-1, 2).T
     places = np.array([p.place or (np.nan, np.nan) for p in photos]).reshape(-1, 2)
-    metres = METRES_A_DEGREE * places * np.stack([np.ones(len(photos)), np.cos(np.radians(places[:, 0]))], axis=1)
     for k in range(1, len(photos)):
         later = np.abs(whole[:k] - whole[k])
         same_time = (later == 0) & ((part[:k] == part[k]) | (part[:k] == 0) | (part[k] == 0))
-        away = np.linalg.norm(metres[:k] - metres[k], axis=1)
-        fits = (same_time | np.isnan(later)) & ((away <= 1.0) | np.isnan(away)) & ~(np.isnan(later) & np.isnan(away))
+        away = np.abs(places[:k] - places[k]).max(axis=1)
+        fits = (same_time | np.isnan(later)) & ((away <= 1e-5) | np.isnan(away)) & ~(np.isnan(later) & np.isnan(away))
         if len(better := np.flatnonzero(fits & (cameras[:k] == cameras[k]))):
             yield k, better.tolist()
 
