@@ -24,7 +24,7 @@ GEO = "EPSG:4326\nDJI_0000.JPG 7.6 45.0 300.0 0 0 0 0.02 0.03\nDJI_0001.JPG 7.6 
 METASHAPE = (
     '# CoordinateSystem: GEOGCS["WGS 84",DATUM["World Geodetic System 1984",SPHEROID["WGS 84",6378137,298.257223563]],'
     'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]\n'
-    "#Label,X/Longitude,Y/Latitude,Z/Altitude\n"
+    "#Label,Accuracy_X/Y_(m),X/Longitude,Y/Latitude,Z/Altitude,Error_(m)\n"
 )
 TABLE = "name,latitude,longitude,height\nDJI_0000.JPG,45.0,7.6,300.0\nDJI_0001.JPG,45.00003,7.6,300.5\n"
 
@@ -55,7 +55,8 @@ def rows(tmp_path: Path, text: str, name: str = "geo.txt") -> Any:
         ("file,lat_deg,lon_deg,altitude_ft,sigma_h_m\nDJI_0000.JPG,45,7.6,984.251969,0.02\n", (0.02, 0.02, np.nan)),
         ("name,lat,lon,height_m,accuracy (cm)\nDJI_0000.JPG,45,7.6,300,2\n", (0.02, 0.02, np.nan)),
         ("name,lat,lon,altitude,ellipsoidal height\nDJI_0000.JPG,45,7.6,252,300\n", None),
-        (f"{METASHAPE}DJI_0000.JPG,7.6,45.0,300\n", None),
+        (f"{METASHAPE}DJI_0000.JPG,0.02,7.6,45.0,300,\n", (0.02, 0.02, np.nan)),
+        ("SourceFile,EXIF:GPSLatitude,EXIF:GPSLongitude,EXIF:GPSAltitude\nDJI_0000.JPG,45,7.6,300\n", None),
         ("\ufefffile,lat,lon,alt,sigma_e,sigma_n,sigma_u\nDJI_0000,45,7.6,300,0.01,0.02,0.03\n", (0.01, 0.02, 0.03)),
     ],
 )  # fmt: skip

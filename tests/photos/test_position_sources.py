@@ -65,11 +65,11 @@ def test_tags_without_a_hemisphere_contradict_no_sign(tmp_path: Path) -> None:
     ("heights", "tags", "warning", "contradicted"),
     [
         (340 + UP, {}, "", []),
-        (388 + UP, {}, "48.0 m above those of the tags (429 and 381 m); they are used as written", []),
-        ((340 + UP) / 0.3048, {}, "", ["ten times as well as feet", "(1250 and 381 m); as feet they agree"]),
-        ((1 + UP) / 0.3048, {"exif": 1 + UP, "above": None}, "", ["ten times as well as feet", "; as feet they agree"]),
-        (UP, {}, "", ["; they count from take-off"]),
-        (0 * UP, {}, "", ["381.0 m below those of the tags (0 and 381 m); they"]),
+        (388 + UP, {}, "48.0 m above those of the tags (429 and 381 m): they count from another surface; they", []),
+        ((340 + UP) / 0.3048, {}, "", ["ten times as well as feet", "(1250 and 381 m): as feet they agree"]),
+        ((1 + UP) / 0.3048, {"exif": 1 + UP, "above": None}, "", ["ten times as well as feet", ": as feet they agree"]),
+        (UP, {}, "", [": they count from take-off"]),
+        (0 * UP, {}, "", ["381.0 m below those of the tags (0 and 381 m): one is wrong"]),
         (358 + 9 * np.arange(6), {}, "", ["of the tags only to 40 m in a flight"]),
         (340 + UP, {"exif": 0 * UP}, "", []),  # not written by the maker
         (-340 - UP, {"above": None}, "", ["with the opposite sign", "with the opposite sign they agree"]),
@@ -87,7 +87,7 @@ def test_heights_of_a_file_are_compared_with_the_tags(
 
 def test_places_of_a_file_100_m_away(tmp_path: Path) -> None:
     (text,) = by_file(tmp_path, PLACES + np.array([1e-3, 0.0]), 340 + UP).contradictions
-    assert text == "geo.txt: its places lie 0.111 km from those of the tags; those of the file are used"
+    assert text == "geo.txt: its places lie 0.1 km from those of the tags; those of the file are used"
 
 
 @pytest.mark.parametrize(
@@ -172,4 +172,4 @@ def test_a_set_whose_file_contradicts_it_opens_with_a_contradiction(tmp_path: Pa
     lines = [f"DJI_{k:04d}.JPG,{45 + 3e-5 * k:.6f},N,7.6,E,{350 / 0.3048:.2f}" for k in range(4)]
     (folder / "a.csv").write_text("\n".join(["name,lat,lat_ref,lon,lon_ref,alt_m", *lines]))
     source = open_source(folder)
-    assert [c for c in source.findings.contradictions if "(1148 and 350 m); as feet they agree" in c]
+    assert [c for c in source.findings.contradictions if "(1148 and 350 m): as feet they agree" in c]

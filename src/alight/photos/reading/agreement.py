@@ -17,7 +17,7 @@ FACTORS = {0.3048: "as feet", -1.0: "with the opposite sign"}  # of heights, and
 SIGNS = {"sign of the longitude": (1, -1), "sign of the latitude": (-1, 1), "signs": (-1, -1)}
 
 
-def distance(places: F64, others: F64) -> tuple[float, str]:
+def places_apart(places: F64, others: F64) -> tuple[float, str]:
     """Return the median distance in metres between two sources of locations, and what would make them agree.
 
     Args:

@@ -256,7 +256,7 @@ def _roles(columns: Sequence[str]) -> dict[int, str]:
 def _split_unit(column: str) -> tuple[str, str]:
     """Split the name of a column into the name itself and its unit, in brackets or at its end; empty: no unit."""
     units = [w.strip() for w in re.findall(r"[\[(](.*?)[\])]", column)]
-    name = re.split("[/:]", re.sub(r"\[.*?\]|\(.*?\)", "", column))[-1].strip()
+    name = re.sub(r"\[.*?\]|\(.*?\)|^#?\s*([XYZ]/|\w+:)", "", column).strip(" _")
     ending = re.fullmatch(r"(.+?)[\s_.-]+([a-z]+)", name, re.IGNORECASE)
     if not units and ending and (_is_angle(ending[2]) or metres_of(ending[2]) is not None):
         return ending[1], ending[2]

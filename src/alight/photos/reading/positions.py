@@ -19,9 +19,9 @@ from alight.photos.reading.agreement import (
     OTHER_SURFACE,
     SAME_ALTITUDE,
     STEADY,
-    distance,
     drift,
     factor_by,
+    places_apart,
 )
 from alight.photos.reading.photo_pose import GPS_SIGMA, position_sigma
 from alight.photos.reading.photo_tags import PhotoTags, Position
@@ -143,10 +143,10 @@ def _contradicted_places(file: Path, pairs: Sequence[tuple[PhotoTags, GivenPlace
     tags, rows = np.array([t for _, t, _ in both]), np.array([r for *_, r in both])
     unsigned = np.array([p.hemisphere_missing for p, *_ in both])
     tags = np.where(unsigned[:, None], np.copysign(tags, rows), tags)
-    apart, hint = distance(rows, tags)
+    apart, hint = places_apart(rows, tags)
     if apart <= 20 * GPS_SIGMA[0]:
         return []
-    what = f"its places lie {apart / 1000:.3g} km from those of the tags" + (f"; {hint} they agree" if hint else "")
+    what = f"its places lie {apart / 1000:.1f} km from those of the tags" + (f"; {hint} they agree" if hint else "")
     if apart > METRES_A_DEGREE:
         raise InputError(
             f"{file}: {what}: mend the coordinate system, the signs, or the order (x, the longitude, before y, the "
@@ -174,12 +174,13 @@ def _compared_heights(
         return []
     factor = factor_by(heights[known], tagged[known], lambda off: float(np.median(np.abs(off))))
     is_above = float(np.median(np.abs(heights - above)[known])) < 0.1 * abs(off)
-    hint = f"; {FACTORS[factor]} they agree" if factor != 1.0 else "; they count from take-off" if is_above else ""
+    datum = "they count from another surface" if abs(off) <= OTHER_SURFACE else "one is wrong"
+    why = f"{FACTORS[factor]} they agree" if factor != 1.0 else "they count from take-off" if is_above else datum
     text = (
         f"{file}: its heights lie {abs(off):.1f} m {'above' if off > 0 else 'below'} those of the tags "
-        f"({np.median(heights[known]):.0f} and {np.median(tagged[known]):.0f} m){hint}; they are used as written"
+        f"({np.median(heights[known]):.0f} and {np.median(tagged[known]):.0f} m): {why}; they are used as written"
     )
-    if not hint and abs(off) <= OTHER_SURFACE:
+    if factor == 1.0 and not is_above and abs(off) <= OTHER_SURFACE:
         return [text]
     contradictions.append(text)
     return []
@@ -195,6 +196,10 @@ def positions_by_tags(photos: Sequence[PhotoTags], flights: Sequence[int]) -> Po
     warnings, contradictions = list[str](), list[str]()
     if exchanged := sum(p.axes_exchanged for p in photos):
         warnings.append(f"{exchanged} photo(s) have a latitude east or west: it is read as the longitude")
+    if half := sum(p.hemisphere_missing for p in photos):
+        warnings.append(
+            f"{half} photo(s) do not say whether their place is north or south, east or west: north and east are taken"
+        )
     places = _finer_places(photos, warnings, contradictions)
     altitudes, source = _altitudes(photos, np.array(flights), warnings, contradictions)
     out = []
@@ -228,7 +233,7 @@ def _finer_places(
     exif, xmp = (np.array([getattr(photos[k], f"{n}_place") for k in both]) for n in ("exif", "xmp"))
     step, off = _step_of_places(exif), METRES_A_DEGREE * float(np.abs(exif - xmp).max())
     if off > max(1.01 * step, GPS_SIGMA[0]):
-        hint = distance(exif, xmp)[1]
+        hint = places_apart(exif, xmp)[1]
         agree = f" ({hint} they agree)" if hint else ""
         contradictions.append(f"places in EXIF and XMP lie up to {off:.1f} m apart{agree}: those in EXIF are used")
     elif off <= 1.01 * step and METRES_A_DEGREE * _step(xmp) < step and step > 0.05:
