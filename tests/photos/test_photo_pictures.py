@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from alight.photos.reading import photo_selection
+from alight.photos.reading.photo_tags import read_tags
+from alight.photos.reading.repeated import repeated_photos
 from alight.records import Frame, InputError
 from alight.runner.opening import open_source
 from alight.sources import Source
@@ -232,3 +234,28 @@ def test_copies_count_once(tmp_path: Path) -> None:
     assert used == ["DJI_0000.JPG", "DJI_0001.JPG", "DJI_0002.JPG", "burst.jpg"]
     assert "4 photo(s) are in the set twice and count once (first: " in source.warnings[0]
     assert source.counts["repeated photos"] == 4
+
+
+@pytest.mark.parametrize(
+    ("again", "out"),
+    [
+        ({"place": (45.0 + 1.2e-6, 7.6, 350.0)}, "long name.jpg"),  # rounded
+        ({"subsecond": ""}, "b.jpg"),  # fewer tags
+        ({"second": None}, "b.jpg"),
+        ({"place": None}, "b.jpg"),
+        ({"place": (45.0 + 3e-5, 7.6, 350.0)}, ""),
+        ({"second": "11"}, ""),
+        ({"subsecond": "75"}, ""),
+        ({"second": None, "place": None}, ""),
+        ({"model": "FC2"}, ""),
+        ({"seed": 9}, ""),
+    ],
+)
+def test_an_exposure_saved_again_with_poorer_tags_counts_once(tmp_path: Path, again: dict[str, Any], out: str) -> None:
+    paths = []
+    for name, changes in (("b.jpg", again), ("long name.jpg", {})):
+        tags = {"seed": 1, "second": "10", "subsecond": "25", "place": (45.0, 7.6, 350.0)} | changes
+        paths.append(d.write_photo(tmp_path / name, xmp=d.xmp_packet({}), **tags))
+    paths[1].write_bytes(paths[1].read_bytes() + b" ")
+    found = repeated_photos([read_tags(path)[0] for path in paths], lambda p: np.asarray(Image.open(p.path)))
+    assert [p.name for p in found.reasons] == [out] * bool(out)

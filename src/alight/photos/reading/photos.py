@@ -318,15 +318,13 @@ class Photos(Source):
         missing = sum(p.position is None for p in photos)
         low = sum(p.position is None and p.place is not None for p in photos)
         but = f" ({low} of them lack the altitude alone: write GPSAltitude)" if low else ""
-        half, turned = sum(p.hemisphere_missing for p in photos), sum(p.turned > 0 for p in photos)
+        turned = sum(p.turned > 0 for p in photos)
         shows = self.notes.get("false_colours", "")
         for count, warning in (
             (len(photos) if shows else 0, f"the colours of all {len(photos)} pictures show {shows} (first: "
              f"{photos[0].path.name}): they are read as grey, and refuse no water or plants; give colour pictures too"),
             (missing, f"{missing} of {len(photos)} photos have no GPS position{but}: their place comes from the "
              "pictures alone"),
-            (half, f"{half} photo(s) do not say whether their place is north or south, east or west: north and east "
-             "are taken"),
             (kinds["flight"], f"{kinds['flight']} photo(s) have no gimbal angles: a camera fixed to look down is "
              "assumed"),
             (turned, f"{turned} photo(s) have an EXIF orientation other than 1: their pixels are used as they are "
