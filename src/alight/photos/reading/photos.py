@@ -273,9 +273,11 @@ class Photos(Source):
         return Rig(tuple(cameras))
 
     def _settled(self, notes: Notes, camera: PhotoCamera) -> Notes:
-        """Return the notes on a focal length without `focal_warning`, which is recorded as a contradiction."""
+        """Return the notes on a focal length without `focal_warning` and `focal_doubt`, which become warnings."""
         if warning := notes.pop("focal_warning", ""):
             self.findings.contradict(f"focal length of {camera.title}: {warning}")
+        if doubt := notes.pop("focal_doubt", ""):
+            self.findings.warn(f"focal length of {camera.title}: {doubt}")
         return notes
 
     def _lens(self, camera: PhotoCamera, photos: list[PhotoTags], focal_px: float | None) -> tuple[Camera, Notes]:
@@ -292,8 +294,8 @@ class Photos(Source):
         except InputError:
             lens, notes = guessed_camera(chosen)
             self.findings.warn(
-                f"no focal length in the tags of {camera.title}: {lens.fu:.0f} pixels are a guess, wrong by up to a "
-                "quarter, and heights above ground scale with it; give the true one with --set "
+                f"no usable focal length in the tags of {camera.title}: {lens.fu:.0f} pixels are a guess, wrong by up "
+                "to a quarter, and heights above ground scale with it; give the true one with --set "
                 "sources.calibration=PIXELS, or camchain.yaml"
             )
             return lens, notes
