@@ -74,8 +74,8 @@ def open_video(path: Path, settings: Settings, log: Callable[[], FilmTelemetry |
     source.notes["telemetry"] = "; ".join(
         part for part in (f"{telemetry.source}: {len(telemetry.rows)} places", telemetry.found, clock.found) if part
     )
-    if clock.warning:
-        source.findings.warn(clock.warning)
+    for warning in filter(None, (telemetry.warning, clock.warning)):
+        source.findings.warn(warning)
     weakref.finalize(source, shutil.rmtree, folder, True)
     return source
 
