@@ -109,6 +109,36 @@ def test_kinds_of_pictures(tmp_path: Path, image: Image.Image, options: dict[str
     assert np.abs(found.astype(int) - like).mean() < 25  # JPEG of noise
 
 
+@pytest.mark.parametrize("mode", ["LA", "RGBA"])
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+def test_what_transparency_hides_has_no_edges(tmp_path: Path, suffix: str, mode: str) -> None:
+    """Hidden pixels continue their surroundings; an alpha channel that hides all is none."""
+    ramp = np.tile(np.linspace(60, 180, 64), (48, 1)).astype(np.uint8)
+    hidden = np.zeros(ramp.shape, bool)
+    hidden[30:, 20:50] = True
+    for name, alpha in (("a", ~hidden), ("b", np.ones_like(hidden)), ("c", np.zeros_like(hidden))):
+        image = Image.fromarray(np.where(hidden, 0, ramp).astype(np.uint8)).convert(mode)
+        image.putalpha(Image.fromarray((255 * alpha).astype(np.uint8)))
+        image.save(tmp_path / f"{name}{suffix}")
+    a, b, c = (read_image(tmp_path / f"{name}{suffix}", (64, 48)).astype(float) for name in "abc")
+    assert a.shape == ((48, 64) if mode == "LA" else (48, 64, 3))
+    assert np.array_equal(a[~hidden], b[~hidden])
+    assert np.array_equal(b, c)
+    assert abs(a[hidden].T - ramp[hidden]).max() < 40
+    assert abs(np.diff(a, axis=0)).max() < 15
+    assert abs(np.diff(b, axis=0)).max() > 60
+
+
+def test_hidden_pixels_of_a_set_are_reported(tmp_path: Path) -> None:
+    saved(
+        tmp_path / "a.tif",
+        np.dstack([COLOUR, np.where(np.arange(64) < 16, 0, 255) + np.zeros((48, 1), int)]).astype(np.uint8),
+    )
+    source = open_source(tmp_path)
+    assert any("transparency hides pixels (25.0% of a.tif)" in w for w in source.warnings)
+    assert shown(source)[0].shape == (48, 64, 3)
+
+
 @pytest.mark.parametrize(("suffix", "extra"), [("heic", "heic"), ("HEIF", "heic"), ("DNG", "raw")])
 def test_a_missing_extra_is_named_in_one_line(
     tmp_path: Path, suffix: str, extra: str, monkeypatch: pytest.MonkeyPatch

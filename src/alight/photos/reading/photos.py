@@ -321,10 +321,12 @@ class Photos(Source):
         low = sum(p.position is None and p.place is not None for p in photos)
         but = f" ({low} of them lack the altitude alone: write GPSAltitude)" if low else ""
         half, turned = sum(p.hemisphere_missing for p in photos), sum(p.turned > 0 for p in photos)
-        shows = self.notes.get("false_colours", "")
+        shows, hidden = self.notes.get("false_colours", ""), self.notes.get("hidden", "")
         for count, warning in (
             (len(photos) if shows else 0, f"the colours of all {len(photos)} pictures show {shows} (first: "
              f"{photos[0].path.name}): they are read as grey, and refuse no water or plants; give colour pictures too"),
+            (len(hidden), f"transparency hides pixels ({hidden}): they are filled smoothly from their "
+             "surroundings, and are no evidence of heights"),
             (missing, f"{missing} of {len(photos)} photos have no GPS position{but}: their place comes from the "
              "pictures alone"),
             (half, f"{half} photo(s) do not say whether their place is north or south, east or west: north and east "
