@@ -38,7 +38,7 @@ from alight.photos.reading.photo_pose import (
     rtk_fix,
     with_attitudes_settled,
 )
-from alight.photos.reading.photo_selection import LeftOut, other_bands, thermal_photos, without_extra
+from alight.photos.reading.photo_selection import LeftOut, other_bands, panoramas, thermal_photos, without_extra
 from alight.photos.reading.photo_tags import PhotoCamera, PhotoTags, finite, read_tags
 from alight.photos.reading.positions import flights_of, settle_positions
 from alight.photos.reading.repeated import repeated_photos
@@ -101,6 +101,7 @@ class Photos(Source):
         self.name = root.parent.name if generic else root.name
         photos = self._readable(files, read)
         photos = self._without(photos, repeated_photos(photos, self._reader.pixels_of))
+        photos = self._without(photos, panoramas(photos))
         photos = self._without(photos, thermal_photos(photos))
         photos = self._of_cameras(self._without(photos, other_bands(photos)), settings)
         positions = settle_positions(photos, root, places, geoid)
