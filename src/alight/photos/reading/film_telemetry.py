@@ -41,6 +41,7 @@ class FilmTelemetry:
     source: str  # file or track that the telemetry was read from
     found: str = ""  # what was inferred while reading, in words
     of_film: bool = True  # True: the clock begins with the film, if the film was not cut
+    warning: str = ""  # what was not understood while reading, in words; empty: nothing
 
     @classmethod
     def of(cls, rows: Iterable[TelemetryRow], source: str, found: str = "", of_film: bool = True) -> FilmTelemetry:

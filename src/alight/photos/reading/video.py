@@ -77,8 +77,8 @@ def open_video(
     source.notes["telemetry"] = "; ".join(
         part for part in (f"{telemetry.source}: {len(telemetry.rows)} places", telemetry.found, clock.found) if part
     )
-    if clock.warning:
-        source.findings.warn(clock.warning)
+    for warning in filter(None, (telemetry.warning, clock.warning)):
+        source.findings.warn(warning)
     weakref.finalize(source, shutil.rmtree, folder, True)
     return source
 
@@ -193,6 +193,7 @@ def _tags(path: Path, frames: FilmFrames, row: TelemetryRow, accuracy: float) ->
         "dji:GpsLatitude": row.place[0], "dji:GpsLongitude": row.place[1],
         "dji:AbsoluteAltitude": row.values.get("abs_alt"), "dji:RelativeAltitude": row.values.get("rel_alt"),
         "dji:CalibratedFocalLength": focal_px(row, max(frames.size)),
+        "dji:CalibratedOpticalCenterX": frames.size[0] / 2, "dji:CalibratedOpticalCenterY": frames.size[1] / 2,
         "dji:GimbalYawDegree": row.values.get("gb_yaw"), "dji:GimbalPitchDegree": row.values.get("gb_pitch"),
         "dji:GimbalRollDegree": row.values.get("gb_roll"), "camera:GPSXYAccuracy": accuracy or None,
     }  # fmt: skip
