@@ -52,7 +52,10 @@ class Firmware(ABC):
 
     @abstractmethod
     def take_off_altitude(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
-        """Return parameters 4 to 7 of MAV_CMD_NAV_TAKEOFF for a climb to `height` metres above home."""
+        """Return parameters 4 to 7 of MAV_CMD_NAV_TAKEOFF for a climb to `height` metres above home.
+
+        `telemetry`: newest telemetry, which holds the altitude of home.
+        """
 
     @abstractmethod
     def reach(self, speed: float, upright: bool) -> float:

@@ -63,7 +63,7 @@ class TextJoiner:
 class Displacement(NamedTuple):
     """Displacement of a vehicle, as estimated by the autopilot."""
 
-    vector: F64 | None  # (3,) metres; None: unknown, as the autopilot's positions are late or have jumped
+    vector: F64 | None  # (3,) metres, world axes; None: unknown, as the autopilot's positions are late or have jumped
     jumped: bool = False  # whether the positions contradict each other
 
 
@@ -192,7 +192,7 @@ class RemoteVehicle:
         return self._commands.submit("disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,), self._timeouts.t_ns)
 
     def take_off(self, height: float) -> int:
-        """Climb to `height` metres above home (ArduPilot: in guided mode); return the ticket."""
+        """Command a climb to `height` metres above home; return the ticket. ArduPilot must be in guided mode."""
         mode, t_ns = FlightMode.TAKE_OFF, self._timeouts.t_ns
         self._control.ordered(mode, t_ns)
         self._guidance.forget_speeds()
@@ -207,7 +207,10 @@ class RemoteVehicle:
         self._commands.drop()
 
     def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool:
-        """Fly to a set-point (in guided mode). It is repeated if the autopilot needs that.
+        """Send a set-point, for a vehicle in guided mode; repeat it later if the autopilot needs that.
+
+        Args:
+            tie: converts the position of the set-point; None: the set-point has no position.
 
         Returns:
             False if it is not sent, as we are not in control.

@@ -206,7 +206,7 @@ class Live:
     # -- the threads
 
     def _use(self, kind: str, t_ns: int, **value: Any) -> None:
-        """Add an exposure to the list `kind` of the schedule, and each further value to the list of its name."""
+        """Add an exposure, by its stamp, to the list `kind` of the schedule, and each `value` to the list of its name."""
         self._used[kind].append(t_ns)
         for name, v in value.items():
             self._used[name].append(v)

@@ -85,10 +85,10 @@ def _log_of(rows: dict[str, list[tuple[float, ...]]], is_novatel: bool) -> Autop
 
 
 def _separations(gps: LoggedStream, accuracy: LoggedStream) -> F64:
-    """Return the separations, metres, from `GPA`: its undulation with the sign changed, or its ellipsoidal altitude.
+    """Return the separation, metres, at each row of `accuracy` (GPA), by its undulation or its ellipsoidal altitude.
 
-    ArduPilot's undulation is the altitude above the sea minus the ellipsoidal height. Only its driver for NovAtel's
-    receivers has the opposite sign.
+    `gps`: stream of GPS messages, for the altitude above the sea. ArduPilot's undulation is this altitude minus the
+    ellipsoidal height; only its driver for NovAtel's receivers has the opposite sign.
     """
     undulation, ellipsoid = accuracy.values[:, 3:].T
     _, at, of_gps = np.intersect1d(accuracy.t_ns, gps.t_ns, return_indices=True)

@@ -28,7 +28,7 @@ class LoggedStream:
 
     @classmethod
     def of(cls, name: str, t_ns: I64, *columns: F64) -> LoggedStream:
-        """Make a stream from columns (N,) of values."""
+        """Make the stream called `name` from times (N,), ns, and columns (N,) of values."""
         return cls(name, np.asarray(t_ns, np.int64), np.stack([np.asarray(c, np.float64) for c in columns], axis=-1))
 
     def where(self, keep: Mask) -> LoggedStream:

@@ -139,7 +139,12 @@ def fly_vehicle(
 def wait_for_vehicle(
     plan: FlightRequest, feed: TelemetryFeed, machine: Sequence[CheckResult], on_status: OnStatus, on_line: OnLine
 ) -> list[CheckResult]:
-    """Wait until an autopilot has reported its position, at most `PATIENCE` seconds; return the newest checks."""
+    """Wait until an autopilot has reported its position, at most `PATIENCE` seconds; return the newest checks.
+
+    Args:
+        machine: checks of this computer, which begin the list.
+        on_status, on_line: called with the checks, and with each text of the autopilot; see `fly_vehicle`.
+    """
     begin, found, refused = time.monotonic(), list[CheckResult](), ""
     while not feed.located and time.monotonic() - begin < PATIENCE:
         with feed.lock:
@@ -169,7 +174,14 @@ def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = ""
 def open_session(
     plan: FlightRequest, opened: LiveSource, feed: TelemetryFeed, log: SessionLog, on_status: OnStatus
 ) -> FlightSession:
-    """Open the lanes of a flight; `feed` must have a vehicle and its position."""
+    """Open the lanes of a flight, and return the session that flies it.
+
+    Args:
+        opened: source of the pictures.
+        feed: telemetry, which must have a vehicle and its position.
+        log: gets the recorder of the flight.
+        on_status: see `fly_vehicle`.
+    """
     local, vehicle = feed.events_of.local, feed.autopilot.vehicle
     assert local is not None
     assert vehicle is not None

@@ -202,7 +202,7 @@ class LandingPilot:
             self._measure("image to set-point", located.t_ns, now_ns)
 
     def _measure(self, name: str, t_ns: int, now_ns: int) -> None:
-        """Record the delay in s from an exposure to the first order that uses its verdict or its motion."""
+        """Record as `name` the delay, s, from the exposure `t_ns` to the first order (`now_ns`) based on it."""
         if t_ns > self._led[name]:
             self._led[name] = t_ns
             self.delays[name].append((now_ns - t_ns) * 1e-9)
@@ -225,7 +225,13 @@ class LandingPilot:
 
 
 def look_picture(look: LookRecord, seen: MapVerdict, reach: float = 5.0, size: int = 200) -> LookPicture:
-    """Return the picture and P(safe) of the ground at a look: `reach` metres to each side, `size` pixels wide."""
+    """Return the picture and P(safe) of the ground at a look.
+
+    Args:
+        seen: verdict after the look.
+        reach: half the width of the picture, metres.
+        size: width of the picture, pixels.
+    """
     cell, (east, north, _) = 2 * reach / size, look.place
     edge = reach - cell / 2  # the middle of the first pixel
     shown = Grid(east - edge, north + edge, cell, size, size)
