@@ -182,7 +182,7 @@ class LinkWatch:
         return back
 
     def tick(self, now_ns: int, timeout_ns: int) -> str:
-        """Check the heartbeat; return the reason if the vehicle was lost just now, else "". Times: as `on_heartbeat`."""
+        """Check the heartbeat; return the reason if the vehicle was lost now, else "". Args: see `on_heartbeat`."""
         self._ticked_ns, self._checks = now_ns, 0
         if self._heartbeat is None:
             return ""

@@ -83,7 +83,7 @@ class Descent:
         return f"no verdict for {silent:.1f} s" if late else ""
 
     def unfelt(self, t: float) -> str:
-        """Return the reason if, until the time `t` in s, no touchdown is reported for too long on the last metres, else ""."""
+        """Return the reason if, at `t` s, no touchdown has been reported for too long on the last metres, else ""."""
         waited = 0.0 if self._low_at is None else t - self._low_at
         return f"for {waited:.0f} s on the last metres" if waited > self._keys.hold else ""
 

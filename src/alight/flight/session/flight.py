@@ -88,7 +88,7 @@ class FlightOutcome:
     """The end of a flight: its checks, the reason in words, and the result if a landing was begun."""
 
     checks: Sequence[CheckResult]
-    why: str
+    why: str  # reason of the end, in words
     state: FlightState | None = None  # None: no landing was begun
     result: RunResult | None = None
 

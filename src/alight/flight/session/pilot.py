@@ -108,7 +108,7 @@ class PilotView:
 
     t: float  # s since the landing began
     state: FlightState
-    order: str
+    order: str  # action, in words
     situation: Situation
     target: Site | None = None  # visited location, in the map frame
     height: float | None = None  # metres above that location, or above the ground

@@ -149,9 +149,10 @@ def _wind(now: Telemetry, most: float) -> CheckResult:
 
 
 def _place(now: Telemetry, take_off: bool, dry: bool, least: float) -> CheckResult:
-    """Check that the vehicle may be armed if it will `take_off`; else that it flies `least` metres above home or higher.
+    """Check that the vehicle may be armed for a take-off, or flies at least `least` metres above home.
 
-    In a dry run (`dry`), a vehicle on the ground gives only a warning.
+    Args:
+        take_off, dry: see `judge_vehicle`; in a dry run, a vehicle on the ground gives only a warning.
     """
     above = "" if now.place is None else f", {now.place.above_home:.0f} m above home"
     if now.landed is Landed.GROUND or not now.armed:
