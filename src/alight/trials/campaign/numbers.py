@@ -48,7 +48,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Iterable[float]) -> Spread:
-        """Return the spread of some values."""
+        """Return the median and the 95th percentile of the values."""
         v = np.array(list(values), np.float64)
         return cls(float(np.median(v)), float(np.percentile(v, 95))) if v.size else cls(None, None)
 
@@ -74,10 +74,10 @@ class CampaignNumbers:
     p_at_commit: tuple[PBin, ...]
     looks: tuple[LookChange, ...]
     looks_each: float | None  # mean number of looks per landing
-    seconds: Spread  # of landings that touched down
-    distance: Spread  # metres, of landings that touched down
-    cpu_s: Spread  # of all landings that did not fail
-    cpu_of: dict[str, Spread]  # of the parts of a landing
+    seconds: Spread  # length of landings that touched down
+    distance: Spread  # metres flown, of landings that touched down
+    cpu_s: Spread  # s of CPU time per landing, of all landings that did not fail
+    cpu_of: dict[str, Spread]  # s of CPU time per landing, by part: simulator, navigation, mapping, judging, link
     cpu_most: float | None  # s, most of one landing
     cpu_within: float | None  # share of landings that took no more than `CPU_LIMIT`
 
