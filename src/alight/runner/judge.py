@@ -49,7 +49,7 @@ def _too_wide(cell: float, stages: StageSettings) -> list[str]:
 
 
 def _land_cover(elevation: ElevationMap, settings: Settings) -> TerrainMap | None:
-    """Estimate the land cover from heights and picture; None where a grey picture or the settings do not allow it."""
+    """Estimate the land cover from heights and picture; None if the picture is grey or the settings disable it."""
     if not settings.terrain.enabled:
         return None
     found = find_land_cover(elevation, settings.stages().terrain, appearance_of(settings))

@@ -124,7 +124,7 @@ def _is_log(path: Path) -> bool:
 
 
 def _telemetry_of_log(film: Path, settings: Settings, own: bool) -> FilmTelemetry | None:
-    """Return positions from the log of the film's name if `own`, else from the only log in its folder; None: no log."""
+    """Return positions for a film, from the log of the same name if `own`, else from its folder's log; None: no log."""
     named = (p for p in sorted(film.parent.iterdir()) if p.stem == film.stem and _is_log(p))
     log = next(named, None) if own else log_in(film.parent)
     if log is None:
@@ -143,7 +143,7 @@ def _telemetry_of_log(film: Path, settings: Settings, own: bool) -> FilmTelemetr
 
 
 def _have_places(folder: Path) -> bool:
-    """Whether one of some pictures of a folder has a position in its tags; True without any pictures."""
+    """Whether one of about eight pictures of a folder has a position in its tags; True if there are no pictures."""
     from alight.photos.reading.photo_tags import read_tags
     from alight.sources.frame_folder import frames_in
     from alight.sources.images import UNREADABLE
