@@ -142,7 +142,10 @@ def print_result(result: RunResult) -> None:
 
 
 def save_result(result: RunResult, out: Path, force: bool) -> None:
-    """Print the answer first, in case the folder cannot be written; then write it and print its report's path."""
+    """Print the answer of a run, write the folder `out`, and print the path of the report in it.
+
+    The answer comes first, in case the folder cannot be written. `force`: whether `out` may hold other files.
+    """
     from alight.outputs import write_run
 
     print_result(result)
