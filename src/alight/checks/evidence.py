@@ -82,7 +82,7 @@ class ImuTable(StreamTable):
 
 
 def integrated(seconds: F64, rates: F64) -> Rotation:
-    """Integrate angular rates (N, 3) in rad/s to (N,) orientations, relative to the first."""
+    """Integrate angular rates (N, 3), rad/s, at ascending times (N,), s, to (N,) orientations relative to the first."""
     turns = 0.5 * (rates[1:] + rates[:-1]) * np.diff(seconds)[:, None]
     path = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), turns]))
     reach = 1

@@ -73,7 +73,12 @@ def body_motion(nav: NavTable, imu: ImuTable, origin_ns: int) -> BodyMotion | No
 
 
 def _bias(turning: Slerp, attitude: Slerp, s: F64, t: F64) -> tuple[F64, float]:
-    """Return the bias of the rates against the attitude, (3,) rad/s, and its sigma, from windows of one second."""
+    """Return the gyro bias, (3,) rad/s, and its sigma, from the turns by both sensors in windows of one second.
+
+    Args:
+        turning, attitude: orientations by the gyroscope and by GPS/INS, as functions of time.
+        s, t: times, s, of the samples of `turning` and of `attitude`.
+    """
     begin = np.arange(max(s[0], t[0]), min(s[-1], t[-1]) - 1.0, 0.5)
     if len(begin) < 4:
         return np.zeros(3), FREE_BIAS
@@ -91,7 +96,7 @@ class FlowFit:
     parameters: F64  # (10,) see `OFFSET`
     sigma: F64  # (10,)
     unexplained: float  # share of the flow that is left with these parameters
-    depth_seconds: F64  # (K,)
+    depth_seconds: F64  # (K,) s from `origin_ns`, middle of each pair of exposures
     inverse_depth: F64  # (K,) 1/m along the optical axis, with mounting and focal length as calibrated
     normals: F64  # (K, 3) of the ground in the camera frame; NaN: unknown
     origin_ns: int
@@ -127,7 +132,7 @@ class PredictedFlow:
         self.flow = self.focal * np.linalg.norm(self._seen - self._spots, axis=-1).mean(axis=-1)  # (K,) px
 
     def turned(self, mounting: Pose) -> PredictedFlow:
-        """Return a copy with another mounting."""
+        """Return a copy with another mounting, `body_from_cam`."""
         out = copy(self)
         out._mounting = mounting
         return out
@@ -140,7 +145,7 @@ class PredictedFlow:
         return float(np.median(down @ self._mounting.rotation[:, 2]))
 
     def residuals(self, parameters: F64) -> tuple[F64, F64]:
-        """Return the (K, 18) px of unexplained flow, and the (K,) inverse depths, for (10,) parameters."""
+        """Return the (K, 18) px of unexplained flow, and (K,) inverse depths, for parameters (10,) (see `OFFSET`)."""
         m = self._motion
         offset, focal = parameters[OFFSET], np.exp(parameters[FOCAL])
         body_from_cam = self._mounting.rotation @ Rotation.from_rotvec(parameters[MOUNTING]).as_matrix()
@@ -158,7 +163,15 @@ class PredictedFlow:
         return left.reshape(len(left), -1) * self.focal * focal, depth
 
     def _arms(self, y: F64, x0: F64, t0: F64, t1: F64, body_from_cam: F64, slope: F64) -> F64:
-        """Return how the flow (K, 9, 2, P) depends on inverse depth (P = 1) or, without velocity, on motion (P = 3)."""
+        """Return the flow (K, 9, 2, P) per unit of inverse depth (P = 1) or, without velocity, of translation (P = 3).
+
+        Args:
+            y: (K, 9, 2) observed points of the later pictures, turned into the axes of the earlier ones.
+            x0: (9, 3) rays of the points in the earlier pictures.
+            t0, t1: (K,) s, times of both pictures of each pair, on the clock of the motion.
+            body_from_cam: (3, 3) rotation.
+            slope: (2,) slope of the ground; see `upward`.
+        """
         m = self._motion
         if m.velocity_world is None or m.attitude is None:
             free = np.zeros((len(y), x0.shape[0], 2, 3))
@@ -250,7 +263,11 @@ def _length(residuals: F64) -> F64:
 
 
 def _least_squares(off: F64, arms: F64) -> tuple[F64, F64]:
-    """Fit flow (K, 9, 2) by P free factors on `arms`; return residual (K, 9, 2), inverse depth (K,), NaN if P = 3."""
+    """Fit flow `off` (K, 9, 2) by P free factors of `arms` (K, 9, 2, P) per pair.
+
+    Returns:
+        the residual (K, 9, 2), and the factor (K,), which is the inverse depth, if P = 1; NaN if P = 3.
+    """
     if arms.shape[-1] == 1:
         a = arms[..., 0]
         depth = np.maximum((a * off).sum(axis=(1, 2)) / np.maximum((a * a).sum(axis=(1, 2)), 1e-12), 0.0)
