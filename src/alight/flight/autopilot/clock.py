@@ -174,8 +174,7 @@ class LinkWatch:
     def on_heartbeat(self, now_ns: int, timeout_ns: int) -> bool:
         """Process a heartbeat; return whether the link was lost before and is back.
 
-        Args:
-            now_ns, timeout_ns: present time of our clock, and of the `TimeoutClock`.
+        `now_ns`, `timeout_ns`: present time of our clock, and of the `TimeoutClock`.
         """
         self._heartbeat = now_ns, timeout_ns
         back, self.alive = not self.alive, True

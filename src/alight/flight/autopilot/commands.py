@@ -102,8 +102,7 @@ class CommandQueue:
     def on_ack(self, number: int, result: int, t_ns: int) -> Iterator[CommandAnswer]:
         """Yield the answer that a COMMAND_ACK gives to our command; yield nothing while the command is in progress.
 
-        Args:
-            number, result: MAV_CMD and MAV_RESULT of the COMMAND_ACK.
+        `number`, `result`: MAV_CMD and MAV_RESULT of the COMMAND_ACK.
         """
         queue = self._queues.get(number)
         if not queue or not queue[0].tries:

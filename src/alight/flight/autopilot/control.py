@@ -105,8 +105,7 @@ class ControlWatch:
     def sticks(self, positions: tuple[int, ...]) -> str:
         """Return which stick a pilot has moved since we took control, in words, or an empty string.
 
-        Args:
-            positions: positions of the four sticks, microseconds, as in RC_CHANNELS.
+        `positions`: positions of the four sticks, microseconds, as in RC_CHANNELS.
         """
         if not self.in_control:
             return ""

@@ -133,7 +133,7 @@ class RemoteVehicle:
         return self._state.positions.oldest(self._now_ns, self.clock) if self.clock.known else math.inf
 
     def tie(self, local: LocalFrame, position_world: F64, t_ns: int) -> EstimateTie | None:
-        """Tie our position to the autopilot's position at the same instant of our clock.
+        """Tie our position, `position_world` at `t_ns` of our clock, to the autopilot's position at the same instant.
 
         Returns:
             The tie; None: the autopilot has no position near that instant.
@@ -142,7 +142,7 @@ class RemoteVehicle:
         return None if place is None else EstimateTie(local, position_world, place)
 
     def displacement(self, local: LocalFrame, since_ns: int, now_ns: int) -> Displacement:
-        """Return the autopilot's estimate of the displacement between two instants of our clock, in axes of `local`."""
+        """Return the displacement from `since_ns` to `now_ns` of our clock, by the autopilot, in axes of `local`."""
         if self.place_jumped:
             return Displacement(None, jumped=True)
         then, now = self.place_at(since_ns), self.place_at(now_ns)

@@ -169,7 +169,7 @@ class Guidance:
                 self._tickets.add(self._commands.submit("speed", number, (kind, speed, -1.0), t_ns))
 
     def is_quiet(self, ticket: int, ok: bool) -> bool:
-        """Process the answer to any command; return whether it needs no notice to the pilot.
+        """Process the answer to the command with this ticket; return whether it needs no notice to the pilot.
 
         This holds for speed commands that are accepted (`ok`), or refused like the previous speed command.
         """

@@ -68,7 +68,7 @@ def _landed(m: Any) -> dict[str, Any]:
 
 
 def _wind(m: Any) -> dict[str, Any]:
-    """Return `wind_world`, m/s, of ArduPilot's WIND, whose `direction` in degrees is where the wind comes from."""
+    """Return the telemetry's `wind_world` from ArduPilot's WIND; its `direction`, degrees, is where wind comes from."""
     towards = math.radians(m.direction) + math.pi if math.isfinite(m.direction) else math.nan
     return _wind_ned(m.speed * math.cos(towards), m.speed * math.sin(towards), m.speed_z)
 

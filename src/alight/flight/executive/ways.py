@@ -62,7 +62,7 @@ class ClearWay:
         return highest <= min(ground + self._keys.rise, float(start[2]) - spare)
 
     def is_free_down(self, place: Site, seen: MapVerdict) -> bool:
-        """Whether no tall obstacle is beside the path down to a location, by the limits for its lowest look."""
+        """Whether no tall obstacle on the map of `seen` is beside the descent to a location; see `is_free`."""
         above = np.array([place.east, place.north, place.up + self._keys.commit_height])
         return self.is_free(above, above, place.up, seen)
 
@@ -130,7 +130,7 @@ class Course:
         return np.array([*to[:2], level])
 
     def _downwards(self, position: F64, to: F64) -> F64:
-        """Return `to`, the end of a descent; while the vehicle is off the path, at the height where it left the path.
+        """Return the next point of a descent, (3,) metres: `to`; off the path, at least as high as where it was left.
 
         Only obstacles within a few metres of the path were checked, and a gust may displace the vehicle as far.
         """

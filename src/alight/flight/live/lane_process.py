@@ -191,11 +191,9 @@ def _activity(pid: int | None) -> Activity:
 
 
 def serve(line: Connection, spec: LaneSpec, memory: tuple[Any, ...]) -> None:
-    """Run a lane in this process: make it, then answer one call after another until `line` is closed.
+    """Run a lane in this process: make it, then answer the calls of a `LaneProcess` over `line` until it is closed.
 
-    Args:
-        line: connection to the `LaneProcess`.
-        memory: further arguments with which the lane is made: none, or the memory of the lane that it replaces.
+    `memory`: further arguments for making the lane: none, or the memory of the lane that it replaces.
     """
     for s in (signal.SIGINT, signal.SIGTERM):
         signal.signal(s, signal.SIG_IGN)  # the flight ends its lanes itself, after it has taken their results

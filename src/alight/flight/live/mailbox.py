@@ -17,8 +17,7 @@ class Closed(Exception):  # noqa: N818  (not an error: the end of a mailbox)
 class Mailbox(Generic[T]):
     """A queue of at most `size` items between threads.
 
-    Args:
-        merge: makes one item of the oldest two, the oldest first, if the queue is full; None: the sender waits.
+    If it is full, `merge` makes one item of the oldest two, the oldest first; None: the sender waits.
     """
 
     def __init__(self, size: int, merge: Callable[[T, T], T] | None = None) -> None:

@@ -73,7 +73,7 @@ def _accuracy(place: dict[str, Any], local: dict[str, Any]) -> LoggedStream:
 
 
 def _separations(gps: dict[str, Any]) -> F64:
-    """Return the separations, (N,) metres, from the columns of the receiver's topic, by name; empty without heights.
+    """Return the separations, (N,) metres, from the receiver's topic, `gps`: columns by name. Empty without heights.
 
     Heights are in metres since PX4 1.14, in millimetres before.
     """

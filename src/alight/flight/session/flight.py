@@ -141,9 +141,7 @@ def wait_for_vehicle(
 ) -> list[CheckResult]:
     """Wait until an autopilot has reported its position, at most `PATIENCE` seconds; return the newest checks.
 
-    Args:
-        machine: checks of this computer, which begin the list.
-        on_status, on_line: called with the checks, and with each text of the autopilot; see `fly_vehicle`.
+    The list begins with `machine`, the checks of this computer. `on_status`, `on_line`: see `fly_vehicle`.
     """
     begin, found, refused = time.monotonic(), list[CheckResult](), ""
     while not feed.located and time.monotonic() - begin < PATIENCE:
@@ -176,11 +174,7 @@ def open_session(
 ) -> FlightSession:
     """Open the lanes of a flight, and return the session that flies it.
 
-    Args:
-        opened: source of the pictures.
-        feed: telemetry, which must have a vehicle and its position.
-        log: gets the recorder of the flight.
-        on_status: see `fly_vehicle`.
+    The pictures come from `opened`. `feed` must have a vehicle and its position. `on_status`: see `fly_vehicle`.
     """
     local, vehicle = feed.events_of.local, feed.autopilot.vehicle
     assert local is not None

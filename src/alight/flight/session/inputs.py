@@ -76,9 +76,7 @@ class BatteryWatch:
     def share(self, reports: Telemetry, now: float) -> float:
         """Return the charge, 0 to 1; NaN: it was reported once, but no longer is. A charge never reported is 1.
 
-        Args:
-            reports: newest telemetry.
-            now: present time, s.
+        `now`: present time, s.
         """
         age = reports.ages.get("SYS_STATUS", math.inf)
         if not math.isnan(reports.battery.share) and age < SILENT:
@@ -180,7 +178,7 @@ class LandingInputs:
         return now, m if position is not None else None
 
     def _position(self, motion: Motion, now_ns: int) -> F64 | None:
-        """Return the newest motion plus the autopilot's displacement since then, (3,) metres; None: unknown."""
+        """Return the present position, (3,) metres: of `motion`, plus the displacement since then; None: unknown."""
         flown = self._vehicle.displacement(self._local, motion.t_ns, now_ns).vector
         if flown is None and (now_ns - motion.t_ns) * 1e-9 > self._stale:
             return None

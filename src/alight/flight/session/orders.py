@@ -117,9 +117,7 @@ class OrderSender:
     def on_answer(self, ticket: int | None, ok: bool, now_ns: int) -> None:
         """Process the answer to a command; a mode that was refused is ordered again after `AGAIN_NS`.
 
-        Args:
-            ticket: ticket of the command; an answer to another command than the last order of a mode has no effect.
-            ok: whether the command was accepted.
+        An answer whose ticket is not of the last order of a mode has no effect. `ok`: whether it was accepted.
         """
         if ticket != self._ticket:
             return

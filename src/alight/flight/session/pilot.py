@@ -43,7 +43,7 @@ class LandingLog:
         """Log a new entry of the diary."""
 
     def note(self, lane: str, words: str) -> None:
-        """Log a note on the cameras, the autopilot or a lane."""
+        """Log a note, in words, on `lane`: the name of a lane, `cameras` or `autopilot`."""
 
 
 class SessionLog(LandingLog):
@@ -225,12 +225,9 @@ class LandingPilot:
 
 
 def look_picture(look: LookRecord, seen: MapVerdict, reach: float = 5.0, size: int = 200) -> LookPicture:
-    """Return the picture and P(safe) of the ground at a look.
+    """Return the picture and P(safe) of the ground at a look, by the verdict `seen` after it.
 
-    Args:
-        seen: verdict after the look.
-        reach: half the width of the picture, metres.
-        size: width of the picture, pixels.
+    The picture reaches `reach` metres to each side, and is `size` pixels wide and high.
     """
     cell, (east, north, _) = 2 * reach / size, look.place
     edge = reach - cell / 2  # the middle of the first pixel

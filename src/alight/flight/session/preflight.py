@@ -200,15 +200,9 @@ def judge_cameras(frames: int, rate: float, delay: float, frozen: int) -> CheckR
 
 
 def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, record: bool) -> list[CheckResult]:
-    """Check that the loops are compiled, and that the disk has room for the recording.
+    """Check that the loops are compiled (`warm`), and that the folder `out` has room for the recording (if `record`).
 
-    Args:
-        warm: whether the loops are compiled.
-        out: folder of the recording.
-        rig: cameras, which give the size of an exposure.
-        rate: exposures per second.
-        seconds: length of the recording.
-        record: whether the flight is recorded.
+    The recording has exposures of the cameras of `rig` at `rate` per second, for `seconds` seconds.
     """
     mend = "run 'alight warmup' once; it takes minutes"
     loops = good("loops", "compiled") if warm else bad("loops", "not compiled on this machine yet", mend)
