@@ -53,7 +53,6 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, progress
         out: folder of the results; it is only prepared, and the caller writes into it.
         seed: seed of the ground and the flight.
         overwrite: whether the folder may hold other files.
-        progress: called with the stage and the share of it that is done.
 
     Raises:
         AlightError: the folder cannot be written.

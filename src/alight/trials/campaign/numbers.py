@@ -83,7 +83,7 @@ class CampaignNumbers:
 
 
 def unsafe_bound(unsafe: int, landings: int) -> float:
-    """Return the upper 95 % confidence bound of the unsafe share (Clopper and Pearson 1934); 0 of N: about 3/N."""
+    """Return the upper 95 % confidence bound of `unsafe` / `landings` (Clopper and Pearson 1934); 0 of N: about 3/N."""
     if unsafe >= landings:
         return 1.0
     return float(betaincinv(unsafe + 1, landings - unsafe, 0.95))
