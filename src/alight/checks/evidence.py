@@ -107,7 +107,7 @@ class CameraEvidence:
     _edges_ns: int = -(2**62)  # time of the last of `edges`
 
     def add(self, t_ns: int, image: U8, seconds: float) -> None:
-        """Measure a picture taken `seconds` after the first exposure, unless the previous one is under 0.08 s older."""
+        """Measure a picture taken `seconds` after the first exposure; skip it within 0.08 s of the previous picture."""
         if self._last is not None and t_ns - self._last[0] < 0.08 * 1e9:
             return
         small, factor = downscaled(image, 640)

@@ -108,7 +108,10 @@ def _other_attitude(usable: dict[str, PredictedFlow], evidence: RigEvidence) -> 
 
 
 def _tilt(mounting: CheckResult, fits: dict[str, FlowFit]) -> CheckResult:
-    """Return the result `mounting` after a check for errors of some degrees, by the `fits` of the cameras by name."""
+    """Check mountings for errors of some degrees; return the new result.
+
+    `mounting`: result of `_mounting`, which is returned if it is not good; `fits`: fit by name of the camera.
+    """
     if mounting.verdict is not Judged.GOOD:
         return mounting
     found, vague = Check(mounting.name, [mounting.evidence]), False

@@ -37,14 +37,14 @@ def named_axes(turn: F64) -> str:
 
 @dataclass(frozen=True, eq=False)
 class TurnWindows:
-    """Turns of the body in each window, by the IMU and by the attitude of GPS/INS."""
+    """Turns of the body in K windows, as rotation vectors, by the IMU and by the attitude of GPS/INS."""
 
     imu: F64  # (K, 3) rad
     nav: F64  # (K, 3) rad
     summed: F64  # (K, 3) rad: sum of the IMU's rates per axis, which cannot wrap whatever the unit
 
     def unexplained(self, body_from_imu: F64) -> float:
-        """Return the share of the turns that an IMU with assumed axes leaves unexplained, about the worst axis."""
+        """Return the share of turns that an IMU with axes `body_from_imu` leaves unexplained, about the worst axis."""
         off, turned = (
             np.array([trimmed_rms(column) for column in _centred(x).T])  # without the bias of the gyroscope
             for x in (self.imu @ np.asarray(body_from_imu).T - self.nav, self.nav)
@@ -117,7 +117,7 @@ class NavAndImu:
     def mean_up(self, attitudes: F64, body_from_imu: F64) -> F64 | None:
         """Return mean specific force minus mean acceleration, (3,) m/s^2, ENU: ideally 9.8 up; None if unknown.
 
-        `attitudes`: see `turns`.
+        `attitudes`: see `turns`; `body_from_imu`: (3, 3) assumed axes of the IMU.
         """
         origin = int(self.nav.t_ns[0])
         s, t = seconds_since(self.nav.t_ns, origin), seconds_since(self.imu.t_ns, origin)
@@ -130,7 +130,7 @@ class NavAndImu:
         return np.asarray(mean - (v[-1] - v[0]) / (s[-1] - s[0]) if len(v) > 1 else mean)
 
     def is_upright(self, attitudes: F64, body_from_imu: F64) -> bool:
-        """Whether the mean specific force, see `mean_up`, points up or is unknown."""
+        """Whether the mean specific force points up or is unknown; see `mean_up` for the arguments."""
         force = self.mean_up(attitudes, body_from_imu)
         if force is None:
             return True

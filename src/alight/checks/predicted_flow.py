@@ -51,7 +51,7 @@ class BodyMotion:
 
 
 def body_motion(nav: NavTable, imu: ImuTable, origin_ns: int) -> BodyMotion | None:
-    """Return the motion by gyroscope and GPS/INS; None if there is neither a gyroscope nor an attitude."""
+    """Return the motion by gyroscope and GPS/INS, in s from `origin_ns`; None: gyroscope and attitude are missing."""
     known, inertial = nav.measured("world_from_body").in_order(), imu.in_order()
     t, s = (seconds_since(table.t_ns, origin_ns) for table in (known, inertial))
     attitude = Slerp(t, Rotation.from_matrix(known.world_from_body)) if len(t) > 2 else None
@@ -192,7 +192,7 @@ class PredictedFlow:
         return np.asarray(flow[..., None])
 
     def _normals(self, parameters: F64) -> F64:
-        """Return the (K, 3) normals of the ground in the camera frame in the middle of each pair; NaN if unknown."""
+        """Return the (K, 3) normals of the ground, camera frame, in the middle of each pair; NaN without attitude."""
         m = self._motion
         if m.attitude is None:
             return np.full((self.pairs, 3), np.nan)
@@ -201,7 +201,7 @@ class PredictedFlow:
         return np.asarray(np.einsum("kij,i->kj", world_from_cam, upward(parameters[GROUND])))
 
     def cost(self, parameters: F64) -> float:
-        """Return the median of the pairs' unexplained flow, px."""
+        """Return the median of the pairs' unexplained flow, px, for parameters (10,)."""
         return float(np.median(_length(self.residuals(parameters)[0])))
 
     def scan(self, offsets: F64) -> tuple[float, float]:
@@ -239,7 +239,10 @@ class PredictedFlow:
         return FlowFit(p, sigma, unexplained, middle, depth, normals, self._motion.origin_ns, self.focal)
 
     def _normal(self, p: F64) -> tuple[F64, F64, F64, F64]:
-        """Return residuals, normal matrix, gradient and (K, 10) gradients per pair at parameters `p`, with priors."""
+        """Return residuals (K, 18), normal matrix (10, 10), gradient (10,), and gradient per pair (K, 10) at `p` (10,).
+
+        Matrix and gradient include the priors; the gradients per pair do not.
+        """
         r, _ = self.residuals(p)
         J = np.stack([(self.residuals(p + e)[0] - self.residuals(p - e)[0]) / (2 * s)
                       for e, s in zip(np.diag(_STEPS), _STEPS, strict=True)], axis=-1)  # (K, 18, 10)  # fmt: skip
@@ -265,8 +268,7 @@ def _length(residuals: F64) -> F64:
 def _least_squares(off: F64, arms: F64) -> tuple[F64, F64]:
     """Fit flow `off` (K, 9, 2) by P free factors of `arms` (K, 9, 2, P) per pair.
 
-    Returns:
-        the residual (K, 9, 2), and the factor (K,), which is the inverse depth, if P = 1; NaN if P = 3.
+    Return the residual (K, 9, 2), and the inverse depth (K,): the factor if P = 1, NaN if P = 3.
     """
     if arms.shape[-1] == 1:
         a = arms[..., 0]

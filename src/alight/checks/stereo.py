@@ -131,11 +131,9 @@ def _judged(case: StereoCase, flow: FlowFit | None) -> CheckResult:
 
 
 def _reversed(name: str, evidence: str, own: float, swapped: float) -> CheckResult:
-    """Return the result for negative depths.
+    """Return the result for negative depths; `evidence`: measurements so far, as text.
 
-    Args:
-        name, evidence: name of the check, and its measurements so far as text.
-        own, swapped: epipolar residuals, px RMS, as calibrated and with the cameras exchanged.
+    `own`, `swapped`: epipolar residuals, px RMS, as calibrated and with the cameras exchanged.
     """
     sign = "turn the sign of the translation in T_BS of the cameras (baseline)"
     if swapped < 0.7 * own and own > 0.25:
