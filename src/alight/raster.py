@@ -143,7 +143,7 @@ def disc_any(mask: Mask, radius: float, cell: float) -> Mask:
 
 
 def disc_crosses_edge(shape: tuple[int, int], radius: float, cell: float) -> Mask:
-    """Return the mask of cells whose disc reaches beyond the map; `radius`, `cell`: metres."""
+    """Return the mask of cells whose disc reaches beyond a map of `shape`; `radius`, `cell`: metres."""
     reach = disc_spans(radius / cell).size // 2
     out = np.ones(shape, dtype=np.bool_)
     out[reach : shape[0] - reach, reach : shape[1] - reach] = False
@@ -353,7 +353,7 @@ def log_levels(levels: U8) -> F32:
 
 
 def log_brightness(rgb: U8) -> F32:
-    """Compute the natural logarithm of an RGB picture's brightness: (R, C, 3) to (R, C)."""
+    """Compute `log_levels` of the grey levels of an RGB picture: (R, C, 3) to (R, C)."""
     return log_levels(grey_levels(rgb))
 
 

@@ -118,12 +118,9 @@ def result_of(
     timings: Mapping[str, Sequence[float]],
     photos: Sequence[PhotoRow] = (),
 ) -> RunResult:
-    """Return a run's result for the output folder and the report.
+    """Return a run's result for the output folder and the report, from the decision `d` on the whole run.
 
-    Args:
-        d: decision on the whole run.
-        timings: seconds of every step, by stage.
-        photos: one row per photo; empty: a flight.
+    `timings`: seconds of every step, by stage; `photos`: one row per photo, empty for a flight.
     """
     found: dict[str, Any] = vars(d) | {
         "notes": {**source.notes, **d.notes}, "warnings": [*source.warnings, *d.warnings],
