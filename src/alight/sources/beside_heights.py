@@ -125,7 +125,7 @@ def _band_of_sigma(raster: OpenedRaster) -> int | None:
 
 
 def _without_zeros(raster: OpenedRaster, heights: RasterHeights, sigma: Beside) -> Beside:
-    """Return a sigma in which 0 is unknown, because no measured height is exact and 0 often means "not measured"."""
+    """Return a sigma with NaN in place of 0, because no measured height is exact and 0 often means "not measured"."""
     share = 100.0 * float((sigma.values == 0)[np.isfinite(heights.metres)].mean())
     warning = (
         f"{raster.path.name}: sigma is 0 in {share:.3g} % of the heights, which are taken as not measured; a sigma of "

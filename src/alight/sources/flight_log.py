@@ -153,9 +153,7 @@ class FlightLog(CalibratedFolder):
         return [row for row, here in zip(rows, there, strict=True) if here]
 
     def _check_size(self, cam: str, size: tuple[int, int], stream: list[tuple[int, str]]) -> None:
-        """Raise InputError if the first readable image in `stream` (ns, name) has another size than the calibrated
-        `size`.
-        """
+        """Raise InputError if the first readable image of `stream` (ns, name) does not have the calibrated `size`."""
         for _, name in stream:
             try:
                 real = image_size(self._image_path(cam, name))

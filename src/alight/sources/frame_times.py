@@ -63,7 +63,7 @@ def frame_times(folder: Path, names: Sequence[str], rate: float | None) -> Frame
 
 
 def _date_in(stem: str) -> str:
-    """Return the date and time in a name, without its suffix, as seconds since 1970; empty if there is none."""
+    """Return the date and time in a file name (without suffix) as text, seconds since 1970; empty if there is none."""
     if not (found := _CALENDAR.search(re.sub(r"(?<!\d)(\d{12})(?!\d)", r"20\1", stem))):
         return ""
     try:
