@@ -25,9 +25,9 @@ MOST_PIXELS = 16  # greatest number of image pixels per cell side
 
 
 class Beside(NamedTuple):
-    """A raster resampled to the cells of the heights, or to a whole number of pixels per cell side."""
+    """Values of a raster, resampled to the cells of the heights or to f x f pixels per cell."""
 
-    values: NDArray[Any]
+    values: NDArray[Any]  # (R, C) or, for an image, (f R, f C) or (f R, f C, 3)
     settled: str  # unit and resampling, in words
     warnings: list[str]
 
@@ -40,7 +40,7 @@ class _Placement(NamedTuple):
 
 
 def _placement(raster: OpenedRaster, heights: RasterHeights) -> _Placement:
-    """Return where a raster lies, by its georeference or, without one, by the whole extent of the heights."""
+    """Return where a raster lies: by its georeference or, if it has none, over the whole extent of the heights."""
     own, other, dataset = heights.plane.reference, raster.reference, raster.dataset
     if not raster.has_place:
         (rows, cols), (height, width) = heights.shape, dataset.shape
@@ -74,7 +74,10 @@ def _placement(raster: OpenedRaster, heights: RasterHeights) -> _Placement:
 def _on_cells(
     raster: OpenedRaster, heights: RasterHeights, at: _Placement, bands: list[int], how: Resampling, factor: int = 1
 ) -> F64:
-    """Read bands of a raster placed by `at`, (B, f R, f C) with f = `factor` pixels per side of a height cell."""
+    """Read bands of a raster at f = `factor` pixels per side of a height cell; return (B, f R, f C).
+
+    `at`: where the raster lies; `bands`: numbers from 1; `how`: method of resampling.
+    """
     plane = heights.plane
     grid = plane.grid_in_crs(plane.grid.finer(factor))
     together = "YES" if len(bands) > 1 else "NO"  # a pixel is no-data if all of its colours are no-data
@@ -96,7 +99,7 @@ def _shares_cells(raster: OpenedRaster, heights: RasterHeights, at: _Placement, 
 
 
 def _coverage(raster: OpenedRaster, known: NDArray[np.bool_], lost: str) -> list[str]:
-    """Return a warning, which ends with `lost`, if the raster covers only part of the heights, by the mask `known`.
+    """Return one warning, which ends with `lost`, or none if the raster covers all heights: `known` is True everywhere.
 
     Raises:
         InputError: the raster covers no height.
@@ -122,7 +125,7 @@ def _band_of_sigma(raster: OpenedRaster) -> int | None:
 
 
 def _without_zeros(raster: OpenedRaster, heights: RasterHeights, sigma: Beside) -> Beside:
-    """Return a sigma in which 0 is unknown, because no measured height is exact and 0 often means "not measured"."""
+    """Return a sigma with NaN in place of 0, because no measured height is exact and 0 often means "not measured"."""
     share = 100.0 * float((sigma.values == 0)[np.isfinite(heights.metres)].mean())
     warning = (
         f"{raster.path.name}: sigma is 0 in {share:.3g} % of the heights, which are taken as not measured; a sigma of "

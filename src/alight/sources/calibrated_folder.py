@@ -72,7 +72,9 @@ class CalibratedFolder(Source):
         return self._root / cam / "data" / name
 
     def _image(self, index: int, name: str | None, unfinished: bool = False) -> U8 | None:
-        """Decode a camera's image; None if `name` is None or the image cannot be read, which is recorded.
+        """Decode the image `name` of the camera with the index `index`; None if `name` is None.
+
+        An image that cannot be read gives None as well, and is recorded as lost.
 
         Raises:
             ValueError: the image cannot be read, and `unfinished` is set because it may still be written.
@@ -90,9 +92,10 @@ class CalibratedFolder(Source):
             return None
 
     def _levels_of(self, cam: str, path: Path) -> Levels | None:
-        """Return the range of a camera's images with more than eight bits, by a sample of its folder; None: eight bits.
+        """Return the levels of camera `cam` for images like `path`; None if they have eight bits or cannot be read.
 
-        Sensors of 10 or 12 bits are stored in 16, of which the upper eight would be nearly black.
+        Levels come from a sample of the images in the folder of `path`. Sensors of 10 or 12 bits are stored in 16, of
+        which the upper eight would be nearly black.
         """
         if cam in self._levels:
             return self._levels[cam]
@@ -125,7 +128,7 @@ class CalibratedFolder(Source):
         return pose
 
     def _read_time_shifts(self, settings: Settings) -> list[int]:
-        """Return ns by which each camera's stamps are ahead of the IMU's clock, by Kalibr's file and the settings."""
+        """Return the ns by which each camera's stamps are ahead of the IMU's clock, by Kalibr and the settings."""
         cameras, given = len(self.rig.cameras), settings.motion.filter.time_offset
         path = settings.sources.calibration
         read = read_time_shifts(Path(path).expanduser(), cameras) if path else []
@@ -144,7 +147,10 @@ class CalibratedFolder(Source):
         return [round(1e9 * a) for a in ahead]
 
     def _without_gaps(self, shifts: list[float | None]) -> list[float]:
-        """Return time shifts, s; a missing one is the first that is given, or 0 if only so the exposures meet."""
+        """Return the cameras' time shifts (s) with a value for each missing shift (None).
+
+        It is the first given shift, or 0 if the exposures of the two cameras then coincide better.
+        """
         first, shift = next((k, shift) for k, shift in enumerate(shifts) if shift is not None)
         out = list[float]()
         for k, own in enumerate(shifts):
@@ -158,7 +164,10 @@ class CalibratedFolder(Source):
         return out
 
     def _apart(self, camera: int, other: int, shift: float) -> float:
-        """Return the median of ns from a camera's stamps to the nearest of `other` plus `shift` s; 0: no stamps yet."""
+        """Return the median time in ns from each stamp of `camera` to the nearest stamp of `other`, two camera indices.
+
+        The stamps of `other` are first moved by `shift` seconds. 0 if a camera has too few stamps.
+        """
         tables = (self._root / self.rig.cameras[k].name / "data.csv" for k in (camera, other))
         lines = (table.read_text("utf-8", "replace").splitlines() if table.is_file() else [] for table in tables)
         own, others = (

@@ -63,7 +63,7 @@ def frame_times(folder: Path, names: Sequence[str], rate: float | None) -> Frame
 
 
 def _date_in(stem: str) -> str:
-    """Return the date and time in a name, without its suffix, as seconds since 1970; empty if there is none."""
+    """Return the date and time in a file name (without suffix) as text, seconds since 1970; empty if there is none."""
     if not (found := _CALENDAR.search(re.sub(r"(?<!\d)(\d{12})(?!\d)", r"20\1", stem))):
         return ""
     try:
@@ -80,7 +80,7 @@ def _natural(name: str) -> list[str | Decimal]:
 
 
 def _table(path: Path, names: Sequence[str]) -> FrameTimes | None:
-    """Read a table of times, one per file name or one per frame in order; None if it is another kind of table."""
+    """Read a table with one time per file name, or per frame in the order of `names`; None if it is no such table."""
     try:
         lines = read_text(path, 100_000_000).splitlines()
     except (OSError, DocumentError) as e:
@@ -106,7 +106,10 @@ def _epoch(found: re.Match[str]) -> str:
 
 
 def _timed(stamps: Sequence[tuple[str, str]], source: str, where: str, head: str = "") -> FrameTimes:
-    """Convert (time, name) pairs to ns, by the unit in the table's header `head`, else the only plausible unit."""
+    """Convert (time, name) pairs to frames with times in ns, by the unit in `head`, else by the only plausible unit.
+
+    `source`: origin of the times, in words; `where`: start of error messages; `head`: header of a table.
+    """
     numbers = np.sort(np.array([float(t) for t, _ in stamps]))
     steps = np.diff(numbers)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0

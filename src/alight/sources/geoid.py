@@ -22,10 +22,10 @@ log = logging.getLogger(__name__)
 
 
 def separation_at(grid: Path, latitude: float, longitude: float) -> float:
-    """Return the geoid's height above the ellipsoid in metres, to be added to heights above sea level (bilinear).
+    """Return the geoid's height above the ellipsoid in metres, interpolated; add it to heights above sea level.
 
     Args:
-        grid: raster of geoid heights in metres, in degrees, such as EGM96 or EGM2008 as GeoTIFF or GTX.
+        grid: raster of geoid heights in metres on cells in degrees, such as EGM96 or EGM2008 as GeoTIFF or GTX.
         latitude, longitude: degrees; longitude may range from -180 to 180 or from 0 to 360.
 
     Raises:
@@ -63,7 +63,10 @@ def separation_at(grid: Path, latitude: float, longitude: float) -> float:
 
 
 def _cell(grid: Path, geoid: Any, latitude: float, longitude: float) -> tuple[float, float]:
-    """Return row and column of a position, 0 at the first cell's centre, clipped to the centres of the outer cells."""
+    """Return the fractional row and column of a position (degrees) in `geoid`, the open raster of the file `grid`.
+
+    0 is the centre of the first cell; values are clipped to the centres of the outer cells.
+    """
     if min(geoid.height, geoid.width) < 2:
         raise InputError(f"--geoid {grid}: has {geoid.height} x {geoid.width} cells; give a whole grid such as EGM2008")
     rows, cols, t = geoid.height - 1.0, geoid.width - 1.0, ~geoid.transform

@@ -99,10 +99,11 @@ def doubt_of_heights(raster: OpenedRaster, band: Band, stored: F64) -> str | Non
 
 
 def _no_height(values: F64, metres: F64, declared: float | None) -> float | None:
-    """Return a value that cannot be a height or, without `declared` no-data, is far from all others; else None.
+    """Return a value that cannot be a height or, if no-data is not `declared`, is far from all others; else None.
 
-    Common codes for unknown heights are no heights in metres. In another unit they may be (9999 dm), unless the step to
-    the next value is the largest of all.
+    `values` (n,) are the different stored values, ascending, and `metres` (n,) the same values in metres. Common codes
+    for unknown heights are no heights in metres. In another unit they may be (9999 dm), unless the step to the next
+    value is the largest of all.
     """
     steps = np.abs(np.diff(metres))
     for at, own, others in ((0, steps[:1], steps[1:]), (-1, steps[-1:], steps[:-1])):
@@ -120,7 +121,10 @@ def _no_height(values: F64, metres: F64, declared: float | None) -> float | None
 
 
 def _filled(raster: OpenedRaster, band: Band, values: F64, counts: I64) -> str | None:
-    """Return a warning if one value fills 2 % of the cells although the other values hardly repeat; None otherwise."""
+    """Return a warning if one value fills 2 % of the cells although the other values hardly repeat; None otherwise.
+
+    `values` (n,) are the different stored values, and `counts` (n,) the number of cells that hold each.
+    """
     total, most = int(counts.sum()), int(counts.max())
     if values.size < 3 or most < 0.02 * total or (values.size - 1) < 0.2 * (total - most):
         return None

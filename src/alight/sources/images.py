@@ -119,7 +119,7 @@ def _pixels(image: Image.Image) -> U8:
 
 
 def hidden_pixels(path: Path) -> Mask | None:
-    """Return the mask (H, W) of the pixels that a picture's transparency hides; None: none, all, or unknown.
+    """Return the mask (H, W) of pixels hidden by transparency; None: no pixel or all pixels are hidden, or unknown.
 
     Raises:
         One of `UNREADABLE`: the picture is damaged.
@@ -136,7 +136,7 @@ def hidden_pixels(path: Path) -> Mask | None:
 
 
 def _filled(values: F32, seen: Mask) -> F32:
-    """Fill the pixels of (H, W, C) values that are not seen from ever coarser means of the seen ones, without edges."""
+    """Return `values` (H, W, C) with pixels not `seen` (H, W) filled from ever coarser means of the seen pixels."""
     import cv2
 
     if seen.all():

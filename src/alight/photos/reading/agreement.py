@@ -42,7 +42,7 @@ def factor_by(heights: F64, others: F64, size: Callable[[F64], float]) -> float:
 
     Args:
         heights, others: (n,) metres, of the same photos.
-        size: measure of the differences (n,) in metres.
+        size: returns the size in metres of differences (n,), for example their median.
     """
     left = {factor: size(factor * heights - others) for factor in FACTORS}
     best, straight = min(left, key=left.__getitem__), size(heights - others)
@@ -50,6 +50,9 @@ def factor_by(heights: F64, others: F64, size: Callable[[F64], float]) -> float:
 
 
 def drift(difference: F64, flights: I64) -> float:
-    """Return the largest range (m, 5th to 95th percentile) of `difference` (n,) within a flight; NaN if all is NaN."""
+    """Return the largest range (m, 5th to 95th percentile) of `difference` (n,) within one flight.
+
+    `flights` (n,) are flight indices. NaN if all differences are NaN.
+    """
     parts = [difference[(flights == f) & np.isfinite(difference)] for f in np.unique(flights)]
     return max((float(np.ptp(np.percentile(p, [5, 95]))) for p in parts if len(p)), default=math.nan)

@@ -25,8 +25,8 @@ class CalibratedPicture(NamedTuple):
 
         Args:
             size: width and height of the photo, pixels.
-            focal: focal length (px), presumed that a smaller photo was resized.
-            alone: whether no source gives it that resizing leaves as it is.
+            focal: focal length, pixels, on the assumption that a photo smaller than this picture was resized.
+            alone: whether every source of the focal length depends on whether photos were resized.
         """
         if alone and not self.is_known:
             return (

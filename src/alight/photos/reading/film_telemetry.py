@@ -88,7 +88,7 @@ class FilmTelemetry:
         return self._moved(replace(row, values=row.values | between), seconds)
 
     def _moved(self, row: TelemetryRow, seconds: float) -> TelemetryRow:
-        """Return a row moved to another time, with the date that follows from the first row's date."""
+        """Return `row` with the time `seconds`, and with the date that follows from the date of the first row."""
         first = self.rows[0]
         taken = None if first.taken is None else first.taken + timedelta(seconds=seconds - first.seconds)
         return replace(row, seconds=seconds, taken=taken)

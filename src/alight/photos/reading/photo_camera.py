@@ -116,15 +116,16 @@ def _claims(tags: PhotoTags) -> list[Claim]:
 
 
 def _ranked(claims: Sequence[Claim], zoom: float, sized: bool) -> Claim:
-    """Return the claim to use.
+    """Return the claim to use: the most exact one that agrees with the best supported claim.
 
-    The claim that agrees with most families is chosen. If `zoom` is 1, ties go to the 35 mm equivalent, since resizing
-    does not affect it. If it exceeds all others, it is chosen in any case, because it contains a zoom that they lack.
+    The best supported claim agrees with most families. If `zoom` is 1, ties go to claims that agree with the 35 mm
+    equivalent, since resizing does not affect it. A 35 mm equivalent above all other focal lengths is then chosen in
+    any case, because it contains a zoom that the others lack.
 
     Args:
         claims: the claims of a photo, the most exact one first.
         zoom: digital zoom in the tags.
-        sized: whether the size of the calibrated picture is known; else, the model's sensor wins a tie with it.
+        sized: whether the size of the calibrated picture is known; if not, ties may go to the model's sensor as well.
     """
 
     def weight(c: Claim) -> tuple[bool, int, bool]:
@@ -175,8 +176,9 @@ def dewarp_text(tags: PhotoTags) -> str:
 def _camera(
     tags: PhotoTags, f: float, offset: tuple[float, float] = (0, 0), lens: tuple[float, ...] = (), model: str = ""
 ) -> Camera:
-    """Build a camera from focal length, principal point relative to the image's centre (px), and distortion `lens`.
+    """Build a camera from its focal length `f` and its principal point `offset` from the image's centre, both in px.
 
+    `lens` are the distortion coefficients of `model`; an empty `model` is radial-tangential, or none if all are 0.
     Makers define the centre as (w/2, h/2) from the image's corner; here, (0, 0) is the centre of the first pixel.
     """
     w, h = tags.size
@@ -339,7 +341,7 @@ def _from_film(tags: PhotoTags) -> Found:
 
 
 def _nominal(tags: PhotoTags, focal: float | None, unit: float | None, name: str) -> Found:
-    """Build a camera from a focal length in units of `unit` pixels; None if either is missing."""
+    """Build a camera from a focal length in units of `unit` pixels; `name`: its source. None if a number is missing."""
     return None if not focal or unit is None else (_camera(tags, focal * unit), {"focal_from": name})
 
 
@@ -391,5 +393,8 @@ def _sensors() -> list[tuple[str, str, float, str]]:
 
 
 def _sensor_width(size: tuple[int, int], shape: float) -> float:
-    """Return the width of the whole sensor in photo pixels; a photo has the sensor's full width or its full height."""
+    """Return the width of the whole sensor in pixels of a photo with `size` (width, height).
+
+    `shape` is the sensor's width over its height. A photo has the sensor's full width or its full height.
+    """
     return max(max(size), min(size) * shape)

@@ -104,9 +104,9 @@ def _angles(tags: PhotoTags, pattern: str) -> tuple[float, float, float] | None:
 
 
 def position_sigma(tags: PhotoTags) -> F64:
-    """Return the 1-sigma (3,), m, east, north, up, of the position file, else of the receiver.
+    """Return the 1-sigma (3,) of a photo's position in metres, east, north, up, from the position file, else the tags.
 
-    What they do not give is that of a consumer receiver.
+    Where none is given, it is the 1-sigma of a consumer receiver.
     """
     if tags.settled is not None and tags.settled.sigma is not None:
         return np.where(np.isfinite(tags.settled.sigma), tags.settled.sigma, GPS_SIGMA)

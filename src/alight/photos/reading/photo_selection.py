@@ -53,7 +53,7 @@ def find_photos(folder: Path) -> FoundPhotos:
 
 
 def _pictures(folder: Path, depth: int, closed: list[Path]) -> Iterator[Path]:
-    """Yield the pictures in a folder, down to `depth` levels below it; folders without permission go to `closed`."""
+    """Yield the pictures in a folder, down to `depth` levels below it; append unreadable sub-folders to `closed`."""
     for path in sorted(folder.iterdir()):
         if not path.is_dir():
             if path.suffix.lower() in SUFFIXES and not path.name.startswith("."):
@@ -92,9 +92,10 @@ def without_extra(files: Sequence[Path]) -> LeftOut:
 def thermal_photos(photos: Sequence[PhotoTags]) -> LeftOut:
     """Return the thermal pictures to leave out of a set that also has other pictures.
 
-    Thermal pictures are recognised by tags or file name; a name that no maker gives counts for another camera alone. A
-    thermal sensor's picture size is evidence only next to enough other pictures, because downsized photos may have
-    that size too. A set of thermal pictures alone is kept.
+    Thermal pictures are recognised by tags or file name. A name that a user may have chosen is evidence only if all
+    pictures of its camera have such names, and another camera took pictures too. A thermal sensor's picture size is
+    evidence only next to enough other pictures, because downsized photos may have that size too. A set of thermal
+    pictures alone is kept.
     """
     cameras = {p.camera for p in photos if not _is_named_thermal(p)}
     tagged = [p for p in photos if _is_tagged_thermal(p)
@@ -161,8 +162,8 @@ def false_colours(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]) 
     """Return what the colours of a set show: `temperatures`, `near infrared`, or empty for true colours and for grey.
 
     A palette gives colours that no ground has, and either lies on a curve in the space of colours or has a thermal
-    sensor's picture size. That size alone is no evidence, because downsized photos may have it too; grey pictures of
-    such a size are named.
+    sensor's picture size. That size alone is no evidence, because downsized photos may have it too; if grey pictures
+    have it, the text mentions that they may show temperatures.
 
     Args:
         photos: photos of the set; thermal pictures are already left out if there are other pictures.
@@ -184,7 +185,7 @@ def false_colours(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]) 
 
 
 def _is_palette(picture: U8, sized: bool) -> bool:
-    """Whether a picture (H, W, 3) has the colours of a palette; `sized`: it has the size of a thermal sensor."""
+    """Whether a picture (H, W, 3) has the colours of a palette; `sized`: whether it has a thermal sensor's size."""
     every = -(-max(picture.shape) // 1000)
     sample = picture[::every, ::every].reshape(-1, 3).astype(np.int64)
     about = sample - sample.mean(axis=1, keepdims=True)
@@ -201,7 +202,7 @@ def _is_tagged_thermal(photo: PhotoTags) -> bool:
 
 
 def _is_named_thermal(photo: PhotoTags) -> bool:
-    """Whether the file's name has the letters of thermal pictures, which an owner may have given as well."""
+    """Whether the file's name has the letters of thermal pictures (T or IR); an owner may have chosen them, too."""
     return re.search(r"_(T|IR)$|\d_(T|IR)_|^IRX_", photo.path.stem, re.IGNORECASE) is not None
 
 

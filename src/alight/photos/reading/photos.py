@@ -219,7 +219,7 @@ class Photos(Source):
     def _of_cameras(self, photos: list[PhotoTags], settings: Settings) -> list[PhotoTags]:
         """Return the photos of the most used camera, and of others with enough photos and a focal length in their tags.
 
-        If the settings give a calibration, all others are left out.
+        If the settings give a calibration, the photos of all other cameras are left out.
         """
         out = dict[object, str]()
         for camera, count in Counter(p.camera for p in photos).most_common()[1:]:
@@ -274,7 +274,10 @@ class Photos(Source):
         return Rig(tuple(cameras))
 
     def _settled(self, notes: Notes, camera: PhotoCamera) -> Notes:
-        """Return the notes on a focal length without `focal_warning` and `focal_doubt`, which become warnings."""
+        """Record `focal_warning` as a contradiction and `focal_doubt` as a warning; return the notes without the two.
+
+        Both are removed from `notes`, which describe the focal length of `camera`.
+        """
         if warning := notes.pop("focal_warning", ""):
             self.findings.contradict(f"focal length of {camera.title}: {warning}")
         if doubt := notes.pop("focal_doubt", ""):
@@ -282,7 +285,10 @@ class Photos(Source):
         return notes
 
     def _lens(self, camera: PhotoCamera, photos: list[PhotoTags], focal_px: float | None) -> tuple[Camera, Notes]:
-        """Return the lens of one camera and notes on it, from the calibration that most of its photos carry."""
+        """Return the lens of one camera and notes on it, from the calibration that most of its `photos` carry.
+
+        `focal_px`: focal length given by the user; None: by the tags or, with a warning, guessed.
+        """
         dewarp = Counter(dewarp_text(p) for p in photos).most_common()
         chosen = next(p for p in photos if dewarp_text(p) == dewarp[0][0])
         if len(dewarp) > 1:

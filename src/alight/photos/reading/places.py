@@ -206,7 +206,7 @@ def _read_geo(path: Path, lines: Sequence[tuple[int, str]], crs: pyproj.CRS) -> 
 
 
 def _vertical(path: Path, crs: pyproj.CRS) -> tuple[float, str]:
-    """Return the metres per unit of height, negative for depths, and the vertical datum of a system in words."""
+    """Return the metres per unit of height (negative: depth) and the vertical datum of the system `crs` in words."""
     axes = crs.axis_info
     if len(axes) == 3:
         parts = crs.sub_crs_list
@@ -229,11 +229,11 @@ class _Header(NamedTuple):
     line: int  # number, from 1
     mark: str  # character between fields
     columns: list[str]
-    roles: dict[int, str]  # role of the columns that are used, by index
+    roles: dict[int, str]  # role, such as "latitude", of each used column, by its index
 
 
 def _header_of(lines: Sequence[str]) -> _Header | None:
-    """Return the header of a table, which may be preceded by comments and be one itself; None: there is none."""
+    """Return the header of a table, which may follow comments or be a comment; None: the lines have no header."""
     for n, line in enumerate(lines, 1):
         mark = max(";\t,", key=line.count)
         columns = next(csv.reader([line.strip()], delimiter=mark), [])
@@ -246,7 +246,7 @@ def _header_of(lines: Sequence[str]) -> _Header | None:
 
 
 def _roles(columns: Sequence[str]) -> dict[int, str]:
-    """Return the role of each column that is used; of several heights, one with a declared datum comes first."""
+    """Return the role of each used column by its index; of several heights, one with a declared datum is used."""
     named = [ROLES.get(re.sub("[^a-z]", "", _split_unit(column)[0].lower())) for column in columns]
     order = sorted(range(len(named)), key=lambda k: named[k] == "height" and _datum(columns[k]) == UNDECLARED)
     first = {role: k for k in reversed(order) if (role := named[k]) is not None}
@@ -311,7 +311,7 @@ def _read_table(path: Path, lines: Sequence[str], header: _Header) -> Places:
 
 
 def _declared(path: Path, comments: Sequence[str]) -> tuple[float, str]:
-    """Return the metres per unit of height and the vertical datum of a table, by its line `# CoordinateSystem: ...`."""
+    """Return the metres per unit of height and the vertical datum, by the comment `# CoordinateSystem: ...`."""
     text = next((t for c in comments if (t := c.partition("CoordinateSystem:")[2].strip())), "EPSG:4326")
     crs = _crs_of(text)
     if crs is None or not crs.is_geographic or crs.geodetic_crs is None or crs.geodetic_crs.name != WGS84.name:
@@ -320,7 +320,10 @@ def _declared(path: Path, comments: Sequence[str]) -> tuple[float, str]:
 
 
 def _signed(where: str, value: float, word: str, letters: tuple[str, str]) -> float:
-    """Return a value with the sign that its column of hemispheres (`N`, `South`) or `GPSAltitudeRef` gives."""
+    """Return a value with the sign that `word`, a hemisphere (`N`, `South`) or `GPSAltitudeRef`, gives.
+
+    `letters` are the first letters of positive and of negative words; error messages begin with `where`.
+    """
     letter = word[:1].upper()
     if letter and letter in letters[1]:
         return -abs(value)
@@ -330,7 +333,7 @@ def _signed(where: str, value: float, word: str, letters: tuple[str, str]) -> fl
 
 
 def _unit(path: Path, name: str) -> float:
-    """Return the metres per unit, from the unit in a column's name; 1 without a unit and for angles."""
+    """Return the metres per unit, from the unit in the column's `name`; 1 without a unit and for angles."""
     unit = _split_unit(name)[1] or "m"
     metres = 1.0 if _is_angle(unit) else metres_of(unit)
     if metres is None:
@@ -356,7 +359,7 @@ def _number(text: str) -> float | None:
 
 
 def _sigma(east: float, north: float, up: float) -> tuple[float, float, float] | None:
-    """Return the accuracies that are given, NaN for others; None if no accuracy is given."""
+    """Return the 1-sigma in metres, with NaN for a value that is not a positive number; None if all three are NaN."""
     east, north, up = (s if 0 < s < math.inf else math.nan for s in (east, north, up))
     return None if all(math.isnan(s) for s in (east, north, up)) else (east, north, up)
 

@@ -66,7 +66,7 @@ def settle_positions(
 
 
 def _without_stuck(found: Positions) -> Positions:
-    """Remove a place that most photos share, because the receiver stood still; if all do, only report it."""
+    """Remove a location that most photos share, as the receiver stood still, unless all do; report a contradiction."""
     placed = [p for p in found.photos if p.place is not None]
     if len({p.time_ns or p.path for p in placed}) < 3:
         return found
@@ -136,7 +136,7 @@ def positions_by_file(
 
 
 def _contradicted_places(file: Path, pairs: Sequence[tuple[PhotoTags, GivenPlace]]) -> list[str]:
-    """Return how the places of a file contradict those of the tags; refuse a file that is a degree away from them."""
+    """Return how a file's locations contradict the tags, in words; raise InputError if they are a degree apart."""
     both = [(p, p.place, (row.latitude, row.longitude)) for p, row in pairs if p.place is not None]
     if not both:
         return []
@@ -158,7 +158,10 @@ def _contradicted_places(file: Path, pairs: Sequence[tuple[PhotoTags, GivenPlace
 def _compared_heights(
     file: str, pairs: Sequence[tuple[PhotoTags, GivenPlace]], flights: I64, contradictions: list[str]
 ) -> list[str]:
-    """Compare the heights of a file with the altitudes and heights above take-off of the tags; return the warnings."""
+    """Compare a file's heights with altitudes and heights above take-off in the tags; return the warnings.
+
+    `pairs`: photos with their rows; `flights` (n,): flight index of each; `contradictions`: list to append to.
+    """
     heights = np.array([row.height for _, row in pairs])
     tagged = np.array([p.position[2] if p.position and p.position[2] else math.nan for p, _ in pairs])
     above = np.array([math.nan if p.relative_altitude is None else p.relative_altitude for p, _ in pairs])
@@ -225,7 +228,10 @@ def _with_altitude(photo: PhotoTags, altitude: float) -> PhotoTags:
 def _finer_places(
     photos: Sequence[PhotoTags], warnings: list[str], contradictions: list[str]
 ) -> list[tuple[float, float] | None]:
-    """Return the EXIF locations, or the XMP locations if these are finer and agree within the rounding of EXIF."""
+    """Return the EXIF locations, or the XMP locations if these are finer and agree within the rounding of EXIF.
+
+    Sentences on differences are appended to `warnings` and `contradictions`.
+    """
     own = [p.place for p in photos]
     both = [k for k, p in enumerate(photos) if p.exif_place is not None and p.xmp_place is not None]
     if not both:
@@ -250,7 +256,7 @@ def _step_of_places(places: F64) -> float:
 
 
 def _by_coarse_places(photos: list[PhotoTags], warnings: list[str]) -> list[PhotoTags]:
-    """Return the photos, with a larger position sigma if their locations are written with few digits."""
+    """Return the photos; if locations have few digits, their sigmas are enlarged, and `warnings` gets a sentence."""
     step = _step_of_places(np.array([p.place for p in photos if p.place is not None]).reshape(-1, 2))
     if not step > GPS_SIGMA[0]:
         return photos
@@ -276,7 +282,10 @@ def _step(values: F64) -> float:
 def _altitudes(
     photos: Sequence[PhotoTags], flights: I64, warnings: list[str], contradictions: list[str]
 ) -> tuple[F64, str]:
-    """Return the (n,) altitudes to use in metres, NaN where none is given, and their main source in words."""
+    """Return the (n,) altitudes to use in metres, NaN where none is given, and their main source in words.
+
+    `flights` (n,): flight indices. Sentences on differences are appended to `warnings` and `contradictions`.
+    """
     exif, absolute, relative = (
         np.array([math.nan if (v := getattr(p, name)) is None else v for p in photos])
         for name in ("exif_altitude", "absolute_altitude", "relative_altitude")
@@ -315,9 +324,11 @@ def _altitudes(
 
 
 def _checked_by_takeoff(used: F64, relative: F64, flights: I64, contradictions: list[str]) -> F64:
-    """Return the altitudes `used`, corrected if the heights above take-off show how they are to be read.
+    """Return the altitudes `used` (n,), corrected if the heights above take-off `relative` (n,) show an error.
 
-    If the altitudes stand still in a flight that climbs, they are replaced by heights above take-off.
+    Altitudes in feet or with the opposite sign are converted. If the altitudes stand still in a flight that climbs,
+    they are replaced by heights above take-off. Each error is appended to `contradictions`; `flights` (n,) are flight
+    indices.
     """
     known = np.isfinite(used) & np.isfinite(relative)
     if known.sum() < 3:

@@ -58,10 +58,10 @@ def _bytes_of(photo: PhotoTags) -> str:
 
 
 def _may_be_one(photos: Sequence[PhotoTags]) -> Iterator[tuple[int, list[int]]]:
-    """Yield the index of each photo that may show the exposure of an earlier one, and the indices of those.
+    """Yield the index of each photo that may show the exposure of earlier photos, and the indices of those photos.
 
-    Their cameras are equal, and time and position are equal or missing in one of them, but not both missing. Programs
-    that save a photo again may drop the fraction of a second and round the position, by up to 1e-5 degrees (1 m).
+    The photos have equal cameras, times and positions; time or position, but not both, may be missing in one of them.
+    Programs that save a photo again may drop the fraction of a second, and round the position by up to 1e-5 degrees.
     """
     cameras = np.unique([f"{c.make}|{c.model}|{c.band}" for c in (p.camera for p in photos)], return_inverse=True)[1]
     times = [p.time_ns for p in photos]

@@ -69,16 +69,16 @@ class _Number:
 
 @dataclass(frozen=True)
 class _Cue:
-    """One subtitle; the numbers in brackets are in the order in which they are written."""
+    """One subtitle; the numbers in its brackets `GPS(...)` and `HOME(...)` are in the order as written."""
 
     row: TelemetryRow
     gps: tuple[_Number, ...] = ()
     home: tuple[_Number, ...] = ()
-    unread: frozenset[str] = frozenset()  # names of heights and zooms that are not used, or used with a doubt
+    unread: frozenset[str] = frozenset()  # sentences on heights and zooms that are not used, or used with a doubt
     fault: str = ""  # why the place cannot be used, in words; empty: no fault
 
     def placed(self, latitude_first: bool) -> TelemetryRow:
-        """Return the row with the latitude and longitude in brackets, given their order."""
+        """Return the row with the position from the brackets; `latitude_first`: whether latitude is written first."""
         return replace(self.row, values=self.row.values | _place(self.gps, latitude_first))
 
 
@@ -166,7 +166,7 @@ def _cue(seconds: float, body: str) -> _Cue:
 
 
 def _as_degrees(parts: re.Match[str]) -> str:
-    """Return degrees with as many decimals as the written parts give; the text as it is if it is no angle."""
+    """Return decimal degrees for matched degrees, minutes and seconds; the matched text if it is no angle."""
     before, degrees, minutes, seconds, after = parts.groups()
     letter = before or after
     if not letter or not (seconds or after) or max(float(minutes), float(seconds or 0)) >= 60:
@@ -176,13 +176,16 @@ def _as_degrees(parts: re.Match[str]) -> str:
 
 
 def _has_bare_parts(inside: str) -> bool:
-    """Whether a bracket has several numbers between two separators; decimal commas are separators here."""
+    """Whether the text in a bracket has several numbers between two separators; decimal commas are separators here."""
     parts = [re.findall(r"\d+(?:\.-?\d+)?", p) for p in re.split(r"[,;]", inside)]
     return len(parts) > 1 and max(map(len, parts)) > (1 if "." in inside else 2)
 
 
 def _unread(written: dict[str, _Number], found: dict[str, _Number | None]) -> frozenset[str]:
-    """Return sentences on heights and zooms that are not used, or whose meaning is not declared."""
+    """Return sentences on heights and zooms that are not used, or whose meaning is not declared.
+
+    `written`: numbers by written name; `found`: the number used for each of our names, None: there is none.
+    """
     read, out = {n for names in NAMES.values() for n in names}, set[str]()
     for name, number in written.items():
         if name not in read and re.search(r"alt|height|zoom", name) and not ("zoom" in name and number.value == 1):

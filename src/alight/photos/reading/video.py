@@ -84,7 +84,7 @@ def open_video(
 
 
 def _telemetry_inside(path: Path, seconds: float, log: Callable[[bool], FilmTelemetry | None]) -> FilmTelemetry | None:
-    """Read the telemetry from a track of the film; without a reader of tracks, take the only log next to the film."""
+    """Read telemetry from a track of the film; if no reader of tracks is installed, from the log by `log(False)`."""
     try:
         return telemetry_inside(path, seconds)
     except InputError:
@@ -134,7 +134,7 @@ def _earlier(offset: float) -> str:
 
 
 def _write_frames(path: Path, telemetry: FilmTelemetry, clock: FilmClock, root: Path) -> Iterator[PhotoTags]:
-    """Save the selected frames and yield their tags; frames without telemetry are left out."""
+    """Save the selected frames of a film in `root` and yield their tags; frames without telemetry are left out."""
     last: TelemetryRow | None = None
     with FilmFrames(path) as frames:
         for t in frames:
@@ -174,14 +174,17 @@ def focal_px(row: TelemetryRow, longer: float) -> float | None:
 
 
 def _step(row: TelemetryRow, size: tuple[int, int]) -> float:
-    """Return the distance in metres between frames with overlap `OVERLAP`; usual values replace missing ones."""
+    """Return metres from one selected frame to the next, for overlap `OVERLAP`; usual values replace missing ones."""
     focal = focal_px(row, max(size))
     field = 0.56 if focal is None else min(size) / (focal * digital_zoom(row))  # extent on the ground over height
     return max((1 - OVERLAP) * field * max(row.values.get("rel_alt", 30.0), 1.0), 0.5)
 
 
 def _tags(path: Path, frames: FilmFrames, row: TelemetryRow, accuracy: float) -> PhotoTags:
-    """Build the tags that a photo of the same drone would have; an unknown altitude is left out."""
+    """Build the tags that a photo of the same drone would have; an unknown altitude is left out.
+
+    `path`: file of the frame; `accuracy`: error of the position in metres, 0: not given.
+    """
     assert row.place is not None
     taken = row.taken or datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=row.seconds)
     exif: dict[int, str] = {
