@@ -43,7 +43,7 @@ class CloneWindow:
         cls, state: FilterState, unused: WindowObservations, cams: Sequence[Pose], settings: FilterSettings,
         frame_id: int = 0,
     ) -> CloneWindow:  # fmt: skip
-        """Copy the clones, mounting and map offset of a state, with the observations `unused` so far."""
+        """Copy the clones, mounting and map offset of a state, with its `unused` observations; `cams`: rig_from_cam."""
         rows, at, core = state.clone_rows, AT.offset, state.core
         joint, cross, offset = (state.P[r, c].copy() for r, c in ((rows, rows), (rows, at), (at, at)))
         return cls(
