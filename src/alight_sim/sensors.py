@@ -184,7 +184,7 @@ class NavStream:
 def simulated_nav(
     flight: TrueTrajectory, t_ns: I64, seconds: F64, errors: NavErrors, seeds: np.random.SeedSequence
 ) -> Iterator[NavSample]:
-    """Yield the rows of GPS/INS, except lost ones, with stamps `t_ns` (N,) at times `seconds` (N,) of the trajectory."""
+    """Yield the GPS/INS rows, except lost ones, with stamps `t_ns` (N,) at times `seconds` (N,) of the trajectory."""
     then, stream = seconds - errors.latency, NavStream(errors, seeds)
     places, velocities = flight.place_world(then), flight.velocity_world(then)
     turns, rates = flight.rotations(then), flight.angular_velocity_body(then)
