@@ -152,8 +152,8 @@ class Touchdown:
 class SafePlaces:
     """Safety of touchdowns at centres on a grid, each at several headings."""
 
-    east: F64  # (C,)
-    north: F64  # (R,)
+    east: F64  # (C,) metres
+    north: F64  # (R,) metres
     headings: F64  # (H,) rad clockwise from north
     safe_at: NDArray[np.bool_]  # (R, C, H)
 
@@ -338,7 +338,7 @@ def _fitted(disc: Disc) -> tuple[F64, F64]:
 
 
 def _highest_above(disc: Disc, planes: F64) -> F64:
-    """Return the (N,) largest height of the ground above any of P planes (N, P, 3), metres; -inf: no cell is inside."""
+    """Return the (N,) largest height of a cell above any of P planes (N, P, 3), metres; -inf: no cell is inside."""
     worst = np.full(len(planes), -math.inf)
     for k in range(planes.shape[1]):
         p = planes[:, k, :, None]

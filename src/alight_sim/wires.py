@@ -322,7 +322,7 @@ def _pixels_of(
 
 
 def _runs(count: Numbers) -> tuple[Numbers, Numbers]:
-    """Return each item's run and its index in the run, both (K,); `count`: (M,) items of M successive runs."""
+    """Return each item's run and its index in the run, both (K,); `count`: (M,) number of items in each run."""
     count = np.maximum(count, 0)
     number = np.repeat(np.arange(len(count)), count)
     return number, np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)

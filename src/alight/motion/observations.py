@@ -101,7 +101,7 @@ class Clones:
         return len(self.stamps)
 
     def with_pose(self, t_ns: int, R: F64, p: F64) -> Clones:
-        """Return the clones and, as the newest, the pose `R` (3, 3), `p` (3,) of the rig stamped `t_ns`."""
+        """Return the clones with the rig pose `R` (3, 3), `p` (3,), stamped `t_ns`, appended as the newest."""
         pairs = ((self.R, R), (self.p, p), (self.first_R, R), (self.first_p, p))
         return Clones((*self.stamps, t_ns), *(np.concatenate([old, new[None]]) for old, new in pairs))
 

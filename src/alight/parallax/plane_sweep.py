@@ -102,7 +102,7 @@ class Registered:
 def register(prepared: list[Prepared], grid: Grid, ground: float, searched: Span, reference: int) -> Registered:
     """Return the views resampled to the plane at height `ground`, over `grid` and a margin for the heights `searched`.
 
-    `reference`: index of the view that becomes the `guide`.
+    `reference`: index of the view whose picture becomes `Registered.guide`.
     """
     centres = centres_of(prepared)
     slide = np.abs(centres[:, None, :2] - centres[None, :, :2]).max()

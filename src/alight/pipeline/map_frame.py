@@ -21,7 +21,7 @@ from alight.records import Datum, ElevationMap, Motion, PlaceSigma, Sites
 class Tie(NamedTuple):
     """Shift between two map frames, derived from the world positions of both."""
 
-    shift: F64  # (3,) metres, to add
+    shift: F64  # (3,) metres, to be added to positions of the first frame
     sigma: float  # metres, horizontal 1-sigma of the shift in its most uncertain direction
 
 
@@ -35,7 +35,7 @@ class MapFrame:
 
     @classmethod
     def of(cls, motion: Motion) -> MapFrame:
-        """Build the map frame of a motion, with the covariance of its position after conversion to the world."""
+        """Build the map frame of a motion, with the covariance of the motion's position in the world."""
         offset = np.zeros(3) if motion.offset_world is None else motion.offset_world
         return cls(motion.frame_id, offset, motion.covariance[:3, :3] - np.outer(offset, offset))
 

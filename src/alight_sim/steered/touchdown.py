@@ -17,7 +17,7 @@ def contact_seconds(contact: TrueContact) -> float:
 
 
 def judge_contact(flight: SteeredFlight, contact: TrueContact, lander: OracleLander) -> Touchdown:
-    """Judge a contact with cars and persons where they were at its time; a collision in flight is always unsafe."""
+    """Judge a contact; cars and persons are placed where they were at that time. A collision in flight is unsafe."""
     found = judge_touchdown(
         flight.world, lander, contact.pose, contact.velocity_world, contact_seconds(contact), flight.bodies
     )

@@ -27,7 +27,7 @@ class CloneWindow:
     The posterior follows from this record alone; it is computed only for the few exposures that become keyframes.
     """
 
-    clones: Clones  # K
+    clones: Clones  # K clones
     P: F64  # (6K, 6K) joint covariance of the clones, (rotation, position) per pose
     offset_cross: F64  # (6K, 3) cross covariance of the clones with the offset of the map
     offset: F64  # (3,) m

@@ -19,7 +19,7 @@ _POINT_PRIOR = 1e-4  # 1/m^2 on the diagonal of a point's information: fixes poi
 
 
 def in_camera(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> F64:
-    """Return world points `x` (N, 3) in the frame of a camera, for one rig pose `R` (N, 3, 3), `p` (N, 3) per point."""
+    """Return world points `x` (N, 3) in the frame of a camera; `R` (N, 3, 3), `p` (N, 3): rig pose for each point."""
     return np.asarray((((x - p)[:, None] @ R)[:, 0] - rig_from_cam.translation) @ rig_from_cam.rotation)
 
 

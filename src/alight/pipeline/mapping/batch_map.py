@@ -120,7 +120,7 @@ class BatchMap(GroundMap):
         return np.array([self._grounds[v.key] for v in views])
 
     def levels(self, views: Sequence[View]) -> Iterator[tuple[int, list[View], list[View]]]:
-        """Yield the levels, coarse to fine: number, views of the level, and views of it and of adjacent levels."""
+        """Yield the levels, coarse to fine: number, views of the level, and views of it and its neighbours."""
         level, of = 0, []
         for v, ground in zip(views, self.ground_under(views).tolist(), strict=True):
             level = self.level_of(v, ground, level)
