@@ -96,7 +96,7 @@ class _Choice:
     observer: Observer | None
 
     def score(self, allowed: Mask, clearance: F32) -> F64:
-        """Compute the score of each cell (G11) by quality, clearance, P(safe), distance; -inf where not `allowed`."""
+        """Compute the score of each cell (G11) by quality, clearance (R, C), P(safe), distance; -inf if not allowed."""
         hazards, settings = self.hazards, self.settings
         allowed = allowed & keeps_margin(clearance, settings.margin) & np.isfinite(hazards.quality)
         room = np.minimum(clearance / settings.roomy, 1.0)
@@ -110,7 +110,7 @@ class _Choice:
         return np.where(allowed, score, -np.inf)
 
     def candidate_score(self, clearance: F32) -> F64:
-        """Compute the score of each candidate (G11a), by mean P(safe) in steps, then by site score; -inf elsewhere."""
+        """Compute the score of candidates (G11a), (R, C): mean P(safe) in steps, then score of a site; else -inf."""
         hazards, step = self.hazards, self.settings.chance_step
         chance = disc_mean(np.nan_to_num(hazards.p_safe), self.settings.margin, hazards.grid.cell)
         score = self.score(hazards.reasons == np.uint16(Hazard.DOUBT), clearance)
@@ -144,7 +144,7 @@ class _Choice:
         )  # fmt: skip
 
     def _height_at(self, east: float, north: float) -> tuple[float, float]:
-        """Return height and sigma, metres, over the footprint's trusted cells, or over all cells if none is trusted."""
+        """Return mean height and sigma, m, of the trusted cells of the footprint at a position; of all if none is."""
         e = self.elevation
         for reach in (self.lander.radius, self.lander.radius + self.hazards.grid.cell):
             rows, cols, disc = _footprint(e.grid, east, north, reach)

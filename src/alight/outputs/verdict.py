@@ -73,7 +73,7 @@ def _summary(result: RunResult, plane: RasterPlane | None, missing: Mapping[str,
 
 
 def _contents(result: RunResult, plane: RasterPlane | None, sharpened: bool) -> Contents:
-    """Return every file but run.json, in the order of writing, or the reason why it is not written."""
+    """Return every file but run.json, in the order of writing, or why it is not written; see `write_judgement`."""
     hazards, elevation = result.hazards_as_mapped, result.elevation
     assert hazards is not None
     assert elevation is not None
@@ -105,7 +105,8 @@ def write_judgement(
 ) -> list[Path]:
     """Write safe.tif, hazards.tif, reasons.tif, sites.geojson, report.html and run.json; return the paths written.
 
-    `heights.tif` is added if an image made the heights finer (`sharpened`). See `folder.write_folder` for errors.
+    `heights.tif` is added if an image made the heights finer (`sharpened`). `plane`: coordinates of the input raster;
+    None: local ones. See `folder.write_folder` for errors.
     """
     contents = _contents(result, plane, sharpened)
     return write_folder(contents, lambda missing: _summary(result, plane, missing), out, overwrite, inputs)
