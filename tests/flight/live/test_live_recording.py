@@ -244,7 +244,8 @@ def test_a_recording_is_not_flown_into_its_own_folder(
 def test_a_live_run_flies_again_bit_for_bit(log: Path, tmp_path: Path) -> None:
     """`alight live`, then `alight run` on its recording, give the same rasters and sites, to the byte."""
     out, again = tmp_path / "live", tmp_path / "again"
-    subprocess.run(command("live", log, "--out", out, *assignments()), check=True, capture_output=True, timeout=600)
+    line = command("live", log, "--out", out, "--speed", "0.5", *assignments())
+    subprocess.run(line, check=True, capture_output=True, timeout=600)
     assert call(["run", str(out / "recording.mcap"), "--out", str(again)]) == 0
     for name in RASTERS:
         assert (out / name).read_bytes() == (again / name).read_bytes(), name
@@ -286,7 +287,7 @@ def test_ctrl_c_ends_the_flight_and_keeps_its_results(log: Path, tmp_path: Path)
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background job ignores it
     )  # fmt: skip
     path = out / "recording.mcap"
-    wait_until(lambda: run.poll() is not None or (path.exists() and path.stat().st_size > 8 * 115_000))
+    wait_until(lambda: run.poll() is not None or (path.exists() and path.stat().st_size > 8 * 115_000), 300.0)
     assert run.poll() is None
     run.send_signal(signal.SIGINT)
     _, said = run.communicate(timeout=120)
