@@ -6,13 +6,13 @@ import ast
 import importlib
 import re
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from alight.records import Event
 from alight_sim import SimulatedFlight
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -47,15 +47,10 @@ class Reader:
 @pytest.fixture(scope="module", autouse=True)
 def _drawn_once() -> Iterator[None]:
     """Draw the pictures of a flight once; the examples write them, and then feed them."""
-    draw, drawn = SimulatedFlight.events, dict[SimulatedFlight, list[Event]]()
-
-    def events(flight: SimulatedFlight) -> Iterator[Event]:
-        if flight not in drawn:
-            drawn[flight] = list(draw(flight))
-        return iter(drawn[flight])
-
+    draw = SimulatedFlight.events
+    drawn = cache(lambda flight: tuple(draw(flight)))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SimulatedFlight, "events", events)
+        patch.setattr(SimulatedFlight, "events", lambda flight: iter(drawn(flight)))
         yield
 
 

@@ -347,11 +347,12 @@ def flown(name: str, fly: Callable[..., Landing], **more: object) -> LandingReco
     return fly_conditions(conditions(name, **more), load_settings("", SMALL), fly).record
 
 
-def test_a_touchdown_is_judged_by_the_oracle(tmp_path: Path) -> None:
+def test_a_touchdown_is_judged_by_the_oracle_and_the_nearest_before_is_noted(tmp_path: Path) -> None:
     grass, water = scene(tmp_path), scene(tmp_path, "wet", "water")
     good = flown(grass, lands)
     assert (good.outcome, good.state) == ("landed safely", "landed")
     assert good.p_at_commit == good.p_found == 0.97
+    assert good.nearest == pytest.approx(40.0, abs=0.5)  # in the search; `happening` is called in the landing as well
     assert [x.verdict for x in good.looks] == ["candidate", "site"]
     assert good.touchdown is not None
     assert good.touchdown.tilt == pytest.approx(0.0, abs=1e-6)
@@ -418,11 +419,6 @@ def test_ground_touched_before_the_landing_was_begun_is_unsafe(tmp_path: Path) -
     assert record.record.outcome == "landed unsafely"
     assert "touched the ground at 1.0 s" in record.record.why
     assert record.picture is not None
-
-
-def test_the_nearest_that_it_came_is_noted_until_the_landing_is_begun(tmp_path: Path) -> None:
-    record = flown(scene(tmp_path), lands)  # `happening` is called in the search and in the landing
-    assert record.nearest == pytest.approx(40.0, abs=0.5)
 
 
 def test_ground_touched_outside_a_landing_is_unsafe(tmp_path: Path) -> None:
@@ -718,15 +714,12 @@ def test_a_worker_that_comes_later_is_compared_as_well() -> None:
 # -- the report
 
 
-def test_the_bound_without_an_unsafe_landing_is_about_three_over_their_number() -> None:
+def test_the_bound_is_where_so_few_are_one_in_twenty_and_about_three_over_their_number_without_one() -> None:
+    from scipy.stats import binom
+
     assert unsafe_bound(0, 200) == pytest.approx(1 - 0.05 ** (1 / 200))
     assert unsafe_bound(0, 1000) == pytest.approx(3 / 1000, rel=0.01)
     assert unsafe_bound(0, 0) == unsafe_bound(3, 3) == 1.0
-
-
-def test_the_bound_is_where_so_few_are_one_in_twenty() -> None:
-    from scipy.stats import binom
-
     for unsafe, landings in ((0, 200), (1, 200), (5, 37)):
         assert binom.cdf(unsafe, landings, unsafe_bound(unsafe, landings)) == pytest.approx(0.05)
 
