@@ -22,9 +22,25 @@ from alight.trials.warmup import compile_kernels
 
 T = TypeVar("T")
 
+# Files that begin: the longest ones, so that two workers end together. On a machine that has compiled no loop yet, the
+# first file lets its worker compile those of the simulator, while the other worker compiles those of the stages.
+BEGIN = (
+    "flight/live/test_live.py", "pipeline/test_levels.py", "photos/test_bundle.py", "parallax/test_kernels_parallax.py",
+    "hazards/test_hazards_kernels.py", "flight/executive/test_executive.py", "test_loop_cache.py",
+    "flight/session/test_fly.py", "trials/test_campaign.py", "pipeline/test_pipeline.py", "trials/test_demo.py",
+    "flight/live/test_live_recording.py", "test_places.py", "flight/session/test_fly_down.py",
+    "flight/session/test_fly_hands.py", "trials/test_own_world.py",
+)  # fmt: skip
+
 # the same examples in each run, whichever tests run beside them
 settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=60)
 settings.load_profile("fixed")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the files of `BEGIN` first."""
+    rank = {Path(__file__).parent / name: k for k, name in enumerate(BEGIN)}
+    items.sort(key=lambda item: rank.get(item.path, len(rank)))
 
 
 def pytest_collection_finish() -> None:

@@ -103,7 +103,7 @@ class FollowedCameras:
         self._seed = seed
         self._cameras = SteeredCameras(self.world, true_rig, faults, rate_hz, self._seeds)
         ground = ground_at(self.world, np.array([*start, 0.0]))
-        self._home = np.array([*start, ground + standing])
+        self.home = np.array([*start, ground + standing])
         self._offset: F64 | None = None  # (3,) metres from the reported frame to the scene
         self._shift_ns: int | None = None  # from the flight's time to the reported clock
         self.left_out = 0  # number of exposures left out because drawing took too long
@@ -121,7 +121,7 @@ class FollowedCameras:
         `position`: (3,) metres, reported. `above_home`: its height above the home, metres.
         """
         if self._offset is None:
-            self._offset = self._home + np.array([0.0, 0.0, above_home]) - position
+            self._offset = self.home + np.array([0.0, 0.0, above_home]) - position
 
     def take(self) -> list[tuple[int, Frame]]:
         """Draw the exposures whose motion is known by now; return their stamps (ns, reported clock) and frames."""

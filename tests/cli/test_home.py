@@ -20,8 +20,6 @@ from alight.records.telemetry import GpsQuality
 from alight.runner import replay
 from alight.runs import flown_home, known_home, wanted_home, with_home
 from alight.sources.geoid import separation_at
-from alight_sim import fly
-from alight_sim.log import write
 
 NEAR = "48.1, 15.44, 250.12"
 
@@ -187,10 +185,10 @@ def test_a_plan_without_a_home_warns_on_stderr(tmp_path: Path, capsys: pytest.Ca
         assert ("--home" in capsys.readouterr().err) == warned
 
 
-def test_the_command_writes_a_plan_above_the_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_writes_a_plan_above_the_home(
+    flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The site's ground lies 2.12 m above the origin, and the origin is 301 m above the ellipsoid."""
-    flight = tmp_path / "flight"
-    write(fly("concrete", 0, duration=0.4, rate_hz=5.0), flight)
     monkeypatch.setattr(replay, "replay", lambda *_, **__: some_run())
     grid = write_geoid(tmp_path / "geoid.tif")
     arguments = ["run", str(flight), "--out", str(tmp_path / "out"), "--home", NEAR, "--geoid", str(grid)]

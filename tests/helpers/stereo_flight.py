@@ -1,4 +1,4 @@
-"""A simulated flight of five seconds with two small cameras, and quick settings for it."""
+"""A simulated flight of 3.5 seconds with two small cameras, and quick settings for it."""
 
 from __future__ import annotations
 
@@ -16,6 +16,6 @@ SMALL = ("tuning.tracks.count=40", "tuning.filter.points=16", "parallax.cell=0.2
 
 @cache
 def flight() -> tuple[SimulatedFlight, tuple[Event, ...]]:
-    """Fly 40 m over the demo's meadow, 15 m above it."""
-    f = fly("demo", 1, 5.0, rig=STEREO, rate_hz=6.0, height=15.0)
+    """Fly 28 m over the demo's meadow, 15 m above it; the cameras expose 22 times."""
+    f = fly("demo", 1, 3.5, rig=STEREO, rate_hz=6.0, height=15.0)
     return f, tuple(f.events())

@@ -5,12 +5,15 @@ from __future__ import annotations
 import ast
 import importlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+
+from alight_sim import SimulatedFlight
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ("python", "your-camera")
@@ -39,6 +42,16 @@ class Reader:
         """Run the remaining blocks; return the names that the page has defined."""
         self.read_to(blocks(self._page)[-1][0])
         return self.names
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _drawn_once() -> Iterator[None]:
+    """Draw the pictures of a flight once; the examples write them, and then feed them."""
+    draw = SimulatedFlight.events
+    drawn = cache(lambda flight: tuple(draw(flight)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SimulatedFlight, "events", lambda flight: iter(drawn(flight)))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -368,7 +368,7 @@ def _summed(bias: np.ndarray) -> Preintegral:
 def test_preintegration_is_the_motion() -> None:
     m = _summed(BIAS)
     assert m.dt == pytest.approx(0.289)
-    here = Step(body(0.003).rotation, body(0.003).translation, velocity(0.003))
+    here = Step(body(0.003).rotation.copy(), body(0.003).translation, velocity(0.003))
     after, _, _ = propagate(here, np.zeros(3), m, m.dt, FilterSettings())
     assert np.linalg.norm(so3_log(after.R @ body(0.292).rotation.T)) < 5 * 4e-4 * np.sqrt(0.3)
     assert np.linalg.norm(after.position - body(0.292).translation) < 5 * 2.5e-3 * 0.3**1.5

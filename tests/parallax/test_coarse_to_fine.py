@@ -122,7 +122,7 @@ def test_tiles_are_matched_in_blocks_where_the_pictures_are_large() -> None:
     lane = BatchMap(load_settings("", ["tuning.elevation.tile=64", "parallax.cell=0.01"]).stages())
     assert lane.find_ground(views), lane.reason
     for level, block in ((0, 2), (6, 1)):  # cells of 0.01 and of 0.64 m
-        grids = lane._grids(views, (-1.0, 1.0), (-1.0, 1.0), level)
+        grids = lane.tile_grids(views, (-1.0, 1.0), (-1.0, 1.0), level)
         size = block * 64
         assert {g.shape for g in grids} == {(size + 2 * MARGIN,) * 2}
         corners = {(round(g.east / g.cell), round(g.north / g.cell)) for g in grids}

@@ -90,6 +90,7 @@ def twin(c: dict[str, np.ndarray]) -> tuple[F64, F64]:
 def filled(c: dict[str, np.ndarray]) -> tuple[F64, F64]:
     M, rows = PLANE + POSE * len(c["pivots"]), len(c["ys"])
     A, b = np.full((rows, M, M), 7.0), np.full((rows, M), 7.0)
+    c["about"].flags.writeable = False  # as of a pose: another type is compiled anew
     kernels.joint_normal_equations(*c.values(), A, b)
     assert not np.tril(A, -1).any()
     upper = A.sum(axis=0)

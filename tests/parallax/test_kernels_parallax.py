@@ -92,6 +92,7 @@ def run_shifted_cost(
     return cost, count
 
 
+TAU = np.float32(0.35)  # as the stage passes it: another type is compiled anew
 PLACE = np.array([-0.31, 0.27, 4.0, -3.0, 20.0])
 
 
@@ -116,7 +117,7 @@ def grey_levels() -> np.ndarray:
 
 def run_template(s: np.ndarray) -> tuple[np.ndarray, ...]:
     weights, mean = np.full(s.shape, -9, np.float32), np.full(s.shape[1:], -9, np.float32)
-    parallax.template(s, network(len(s)), 0.35, weights, mean)
+    parallax.template(s, network(len(s)), TAU, weights, mean)
     return weights, mean
 
 
@@ -125,7 +126,7 @@ def run_normal_equations(s: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, ...]
     mean, *out = (np.full(h.shape, -9, np.float32) for _ in range(4))
     used, seen = np.full(h.shape, 99, np.uint8), np.full(h.shape, 99, np.uint8)
     xs, ys = XS[0] + CELL * np.arange(h.shape[1]), YS[0] - CELL * np.arange(h.shape[0])
-    parallax.normal_equations(s, network(len(s)), 0.35, CENTRES[: len(s)], xs, ys, h, CELL, mean, used, seen, *out)
+    parallax.normal_equations(s, network(len(s)), TAU, CENTRES[: len(s)], xs, ys, h, CELL, mean, used, seen, *out)
     return mean, used, *out, seen
 
 
@@ -153,7 +154,7 @@ def run_prior(h: np.ndarray, args: tuple[np.ndarray, ...] | None = None) -> tupl
 
 def run_block_tops(h: np.ndarray) -> tuple[np.ndarray, ...]:
     out = np.full((-(-h.shape[0] // 8), -(-h.shape[1] // 8)), -9, np.float32)
-    surface.block_tops(h, 8, -1e4, out)
+    surface.block_tops(h, 8, np.float32(-1e4), out)
     return (out,)
 
 
@@ -325,10 +326,8 @@ def test_sweep_cost_of_some_cells_is_that_of_all() -> None:
     some[2, 1:3], some[5, ::2], some[-1, -1] = True, True, True
     high[some] = 4
     cost, count = np.full(shape, -9, np.float32), np.full(shape, -9, np.int32)
-    ones = np.ones((len(s), 2))
-    sweep.sweep_cost(
-        pictures, ones[:, 0], ones, network(len(s)), 0.7, np.float32(1.5), low, high, 4, cost, count
-    )  # fmt: skip
+    scale, shift = np.ones(len(s)), np.ones((len(s), 2))
+    sweep.sweep_cost(pictures, scale, shift, network(len(s)), 0.7, np.float32(1.5), low, high, 4, cost, count)
     assert_array_equal(cost[some], want[some])
     assert_array_equal(count[some], seen[some])
     assert (cost[0] == -9).all()

@@ -216,7 +216,7 @@ def test_a_cell_that_was_asked_for_stays() -> None:
 def test_the_batch_is_as_fine_as_the_views_of_each_place() -> None:
     views = [v for v in down() if v.centre[2] < 17]
     lane = BatchMap(
-        load_settings("", ["tuning.elevation.tile=192", "elevation.max_sigma=5", "parallax.quality=fine"]).stages()
+        load_settings("", ["tuning.elevation.tile=96", "elevation.max_sigma=5", "parallax.quality=fine"]).stages()
     )
     assert lane.find_ground(views[::3]), lane.reason
     lane.match_tiles(views[::3], lambda share: None)

@@ -146,8 +146,8 @@ def test_a_ground_that_is_found_again_is_searched_for_at_once(monkeypatch: pytes
     known = lane.elevation.read(lane.elevation.layer(lane.level).window((-6.0, 6.0), (-6.0, 6.0)))
     assert known.trusted.sum() > 7 * lane.settings.mapping.least_known
     for _ in range(20):
-        lane.estimator._blocks.visited((slice(0, 8), slice(0, 8)), *2 * [np.zeros((2, 2), bool)], 4)
-    lane.estimator._blocks.begins = False
+        lane.estimator.blocks.visited((slice(0, 8), slice(0, 8)), *2 * [np.zeros((2, 2), bool)], 4)
+    lane.estimator.blocks.begins = False
     deep = points(0.0) - np.array([0.0, 0.0, 12.0])
     monkeypatch.setattr(ground_map, "find_points", lambda *_: deep)
     lane.find_ground_again(views, 0.08)

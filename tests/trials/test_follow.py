@@ -107,7 +107,7 @@ def test_the_pictures_are_those_of_the_flight(tmp_path: Path, dialect: str) -> N
     heights = [p.translation[2] for p in poses]
     assert max(heights) > 8.0
     # drawn anew at the true poses, by the same cameras
-    home = np.array([-20.0, -12.0, cameras._home[2]])
+    home = np.array([-20.0, -12.0, cameras.home[2]])
     for (t_ns, image), pose in list(zip(flown, poses, strict=True))[::6]:
         there = Pose(pose.rotation, home + pose.translation)
         body_from_cam = cameras.rig.cameras[0].body_from_cam

@@ -42,7 +42,7 @@ def gives_up(vehicle: SteeredFlight, *_: object) -> Landing:
 @pytest.mark.usefixtures("small_pictures")
 def test_a_landing_is_flown_in_a_world_that_is_not_the_simulators(tmp_path: Path) -> None:
     """The whole way: searched, found between the boxes, landed on, and judged by the world's own truth."""
-    quick = ["--no-look-again", "--set", "executive.search_side=30", "--set", "parallax.cell=0.1", "--seed", "1"]
+    quick = ["--no-look-again", "--set", "executive.search_side=30", "--set", "parallax.cell=0.15", "--seed", "1"]
     assert call(["campaign", "--world", PLANE, "--landings", "1", *quick, "--out", str(tmp_path / "out")]) == 0
     line = json.loads((tmp_path / "out" / "landings.jsonl").read_text())
     assert (line["conditions"]["scene"], line["conditions"]["light"]) == (PLANE, None)

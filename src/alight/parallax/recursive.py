@@ -37,21 +37,21 @@ class RecursiveParallax:
         self._cell, self._ground = cell, ground
         self.kept = dict[int, list[Kept]]()  # views of each exposure, by its time in ns, oldest first
         self._ratio: tuple[Grid, F32] | None = None  # ambiguity, moved along with the window; NaN: to be swept again
-        self._blocks, self._buffers = Blocks(settings.recursive), Buffers()
+        self.blocks, self._buffers = Blocks(settings.recursive), Buffers()
         self.alignment = Alignment(settings)
         self.came = list[tuple[Grid, Mask]]()  # rectangles of the last step; True: somebody came (eq. 16e)
 
     @property
     def beginning(self) -> bool:
         """Whether most of the window was refined too seldom for its known heights to represent the rest."""
-        return self._blocks.begins
+        return self.blocks.begins
 
     def work_at(self, cell: float, ground: float) -> None:
         """Set the cell size and the ground height, metres; for a new `cell` the kept pictures are prepared again."""
         # pictures prepared for another ground height stay, because that height only affects their smoothing
         self._ground = ground
         if cell != self._cell:
-            self._blocks.forget(sharper=cell < self._cell)
+            self.blocks.forget(sharper=cell < self._cell)
             self._cell = cell
             if self._ratio is not None:  # cells of the new size confirm or refute the sweep
                 self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * self._unswept)
@@ -60,7 +60,7 @@ class RecursiveParallax:
     def reset_sweep(self) -> None:
         """Discard all sweeps: every cell is swept again before its height is used, as at the beginning."""
         self._ratio, self._unknown = None, np.float32(np.nan)
-        self._blocks.begin_anew()
+        self.blocks.begin_anew()
 
     def push(self, views: list[View], poses: KeyframePosterior | None = None) -> None:
         """Add the images of one exposure, in or out of sequence; an exposure that is already held is ignored.
@@ -106,7 +106,7 @@ class RecursiveParallax:
         skyline = refine.Skyline.of(start, grid, np.array([k.fine.centre for k in window.kept]))
         datum, out = self.alignment.datum(grid), []
         for box in plan.refine:
-            recolour = self._blocks.recolour and self._blocks.never_visited(box)
+            recolour = self.blocks.recolour and self.blocks.never_visited(box)
             found = window.refined(skyline, start, wrong, box, recolour)
             self._settle(None if found is None else found.heights, known, box)
             if found is not None:
@@ -164,15 +164,15 @@ class RecursiveParallax:
         h, r, baseline, count = window.known.height[at], window.ratio[at], seen.baseline[at], seen.count[at]
         new, enough = np.isnan(h) | np.isnan(r), self._has_baseline(baseline, count, r, drop)
         kinds = np.array([new & enough, new & ~enough & (count > 0), ~new & (count >= 2)])
-        self._blocks.move_to(window.grid)
-        counts, newest = self._blocks.counted(kinds, every), window.kept[-1].view.centre
+        self.blocks.move_to(window.grid)
+        counts, newest = self.blocks.counted(kinds, every), window.kept[-1].view.centre
         row, col = (float(v) for v in window.grid.index(newest[0], newest[1]))
         low, high = window.searched
         slide = 2 * self._tuning.first_baseline
         planes = plane_count(slide, low, high, window.grid.cell, self._sweep_tuning.most_planes)
         up = float(newest[2])
         reach = drop / max(up - high, 0.1 * drop) - drop / max(up - low, 0.1 * drop)
-        return self._blocks.plan(counts, (row, col), self._tuning.first_exposures * planes, reach, effort)
+        return self.blocks.plan(counts, (row, col), self._tuning.first_exposures * planes, reach, effort)
 
     def _settle(self, found: Heights | None, known: ElevationMap, box: Box) -> None:
         """Record which heights of rectangle `box` were replaced, became trusted, or lost trust.
@@ -183,10 +183,10 @@ class RecursiveParallax:
         h0, s0, f0 = (getattr(known, k)[box][::every, ::every] for k in ("height", "sigma", "flags"))
         before = np.isfinite(h0)
         if found is None:
-            return self._blocks.visited(box, before, ~before, every)
+            return self.blocks.visited(box, before, ~before, every)
         h, s, f = (getattr(found, k)[::every, ::every] for k in ("height", "sigma", "flags"))
         changed = ((h - h0) ** 2 > 9 * (s**2 + s0**2)) | (is_trusted(f) != is_trusted(f0))
-        return self._blocks.visited(box, before, changed, every)
+        return self.blocks.visited(box, before, changed, every)
 
     def _swept(self, window: Window, plan: Plan) -> tuple[F32, Mask]:
         """Sweep the planned cells; return initial heights (R, C), metres, and a mask of the map's heights to ignore.

@@ -115,7 +115,7 @@ class Lined(Layer):
         found = np.flatnonzero(near)
         out = np.empty((*sheet.x.shape, 3))
         # a run without holes: a piece between two near ones does no harm
-        along_line(sheet.x, sheet.y, line[found[0] : found[-1] + 2], reach, out)
+        along_line(*map(np.ascontiguousarray, (sheet.x, sheet.y)), line[found[0] : found[-1] + 2], reach, out)
         return out
 
 

@@ -136,7 +136,7 @@ class BatchMap(GroundMap):
         assert self.ground is not None
         low, high = bounds(asking, self.ground_under(asking))
         refuse_too_large(low, high, self.elevation.cell_at(level), BYTES_A_CELL)
-        grids = [g for g in self._grids(asking, low, high, level) if only(g)]
+        grids = [g for g in self.tile_grids(asking, low, high, level) if only(g)]
         self._step += 1
         images = KeptHere(f"images-{self._step}", partial(Images, [], self.elevation.cell_at(level), self.ground))
         seen = [self.block_of(grid, asking, views) for grid in grids]
@@ -224,7 +224,7 @@ class BatchMap(GroundMap):
         arguments = images, views, pixels, block.grounds, block.grid, block.searched, self.settings.parallax
         return Task(f"tile-{self._step}-{place}", match_block, arguments, about.hexdigest())
 
-    def _grids(self, asking: list[View], low: F64, high: F64, level: int) -> list[Grid]:
+    def tile_grids(self, asking: list[View], low: F64, high: F64, level: int) -> list[Grid]:
         """Return grids of `level` to match, with margins: blocks of tiles, or single tiles for small pictures.
 
         `asking`: views of that level. `low`, `high`: (2,) metres, south-west and north-east corner.
