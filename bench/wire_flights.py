@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ground_maps import MAKERS, shifted
+from ground_maps import shifted
 from ladder import FAMILIES, FIRST_SEED, RATES, SCENES, SPACING, Kind, Rung
 
-import alight
 import alight_sim
 from alight.arrays import F64
 from alight.evaluation.flight import FlightTruth
@@ -98,6 +97,10 @@ class Case:
         flight = scene.flight.model_copy(update={"height": self.height, "speed": speed, "duration": seconds})
         return scene.model_copy(update={"ground": ground, "flight": flight})
 
+    def kept_in(self, scratch: Path) -> Path:
+        """File of the flight."""
+        return scratch / _made_by() / f"{self.name.replace('/', '_')}.pickle"
+
     def fly(self) -> WireFlight | None:
         """Fly and map; None: no map."""
         flight = fly(self.plan(), self.seed)
@@ -131,15 +134,13 @@ def cases(kind: Kind, count: int) -> list[Case]:
 
 @cache
 def _made_by() -> str:
-    product = Path(alight.__file__).parent
-    files = [f for f in sorted(product.rglob("*kernels.py")) if f.relative_to(product).parts[0] in MAKERS]
-    files += sorted(Path(alight_sim.__file__).parent.rglob("*.py"))
+    files = sorted(Path(alight_sim.__file__).parent.rglob("*.py"))
     return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()[:12]
 
 
 def flown(case: Case, scratch: Path) -> WireFlight | None:
-    """The flight of a case, from `scratch` if it was flown before with the same simulator and kernels."""
-    path = scratch / _made_by() / f"{case.name.replace('/', '_')}.pickle"
+    """The flight of a case, from `scratch` if it was flown before with the same simulator."""
+    path = case.kept_in(scratch)
     if path.exists():
         return pickle.loads(path.read_bytes())  # type: ignore[no-any-return]
     found = case.fly()

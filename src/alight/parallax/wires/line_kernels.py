@@ -1,0 +1,122 @@
+"""Sums along straight lines of a picture, and what other views have where a line in the air would be seen."""
+
+import math
+
+import numpy as np
+
+from alight.arrays import F32, F64, I64
+from alight.compiled import kernel
+
+BLOCK = 8  # cells along a line that are added first
+REACH = 2  # blocks to either side of the middle one
+
+
+@kernel
+def sum_lines(columns: F32, slopes: F64, out: F32) -> None:
+    """Fill `out` (D, B, R) with the sums along lines of `2 REACH + 1` blocks through the middle of every block.
+
+    Args:
+        columns: (BLOCK, B, R), the picture's columns: every `BLOCK`-th, beginning at each of the first `BLOCK`.
+        slopes: (D,) cells down for a cell to the right, -1 to 1.
+        out: (D, B, R) sums; lines that leave the picture miss what is beyond.
+    """
+    blocks, rows = columns.shape[1], columns.shape[2]
+    part = np.empty((blocks, rows), np.float32)
+    for d in range(slopes.size):
+        part[:] = np.float32(0)
+        for k in range(BLOCK):
+            down = round(slopes[d] * (k - 0.5 * (BLOCK - 1)))
+            low, high = max(0, -down), min(rows, rows - down)
+            for b in range(blocks):
+                for r in range(low, high):
+                    part[b, r] += columns[k, b, r + down]
+        out[d] = np.float32(0)
+        for step in range(-REACH, REACH + 1):
+            down = round(slopes[d] * BLOCK * step)
+            low, high = max(0, -down), min(rows, rows - down)
+            for b in range(max(0, -step), min(blocks, blocks - step)):
+                for r in range(low, high):
+                    out[d, b, r] += part[b + step, r + down]
+
+
+@kernel
+def pick_lines(sums: F32, rows: int, tall: int, least: float, out: I64) -> int:
+    """Write slope, block and row of the strongest line of each block and `tall` rows to `out` (N, 3); return how many.
+
+    Lines are counted if the size of their sum is at least `least`; `sums` (D, B, R), of which `rows` rows are used.
+    """
+    count = 0
+    for b in range(sums.shape[1]):
+        for first in range(0, rows, tall):
+            best, at_d, at_r = np.float32(least), -1, 0
+            for d in range(sums.shape[0]):
+                for r in range(first, min(first + tall, rows)):
+                    size = abs(sums[d, b, r])
+                    if size > best:
+                        best, at_d, at_r = size, d, r
+            if at_d >= 0 and count < out.shape[0]:
+                out[count, 0], out[count, 1], out[count, 2] = at_d, b, at_r
+                count += 1
+    return count
+
+
+@kernel
+def raise_lines(
+    lines: F64, own: int, heights: F64, centres: F64, grids: F64, sums: F32, slopes: F64, still: float, cap: float,
+    out: F64,
+) -> None:  # fmt: skip
+    """Find the height at which the other views show each line best.
+
+    A line at height `h` above the plane, which one view sees at a place of the plane, is seen by another view at
+    another place, parallel to it. Each view counts up to `cap`, so that no view decides alone.
+
+    Args:
+        lines: (K, 5) east, north on the plane [m]; family: 0 nearly level, 1 nearly upright; slope number; sign.
+        own: number of the view that shows the lines.
+        heights: (T,) above the plane, metres, rising.
+        centres: (V, 3) camera centres, metres above the plane.
+        grids: (V, 5) east, north of the first cell, cell [m], rows, columns of each view's part of the plane.
+        sums: (V, 2, D, B, R) sums along lines over their noise; family 1 with rows and columns exchanged.
+        slopes: (D,) cells down for a cell to the right.
+        still: shift in cells, across the line, up to which a view cannot tell the line from one on the ground.
+        cap: largest count of a view.
+        out: (K, 3) sum over the root of the number of views, height [m], number of views; best of all heights.
+    """
+    for k in range(lines.shape[0]):
+        east, north, family, d, sign = lines[k, 0], lines[k, 1], int(lines[k, 2]), int(lines[k, 3]), lines[k, 4]
+        slope = slopes[d]
+        across_e, across_n = (slope, 1.0) if family == 0 else (1.0, slope)
+        length = math.hypot(across_e, across_n)
+        across_e, across_n = across_e / length, across_n / length
+        out[k, 0], out[k, 1], out[k, 2] = 0.0, heights[0], 0.0
+        for h in heights:
+            share = 1.0 - h / centres[own, 2]
+            at_e = centres[own, 0] + (east - centres[own, 0]) * share
+            at_n = centres[own, 1] + (north - centres[own, 1]) * share
+            total, count = 0.0, 0
+            for v in range(centres.shape[0]):
+                drop = centres[v, 2] - h
+                if v == own or drop < 1.0:
+                    continue
+                far = centres[v, 2] / drop
+                e = centres[v, 0] + (at_e - centres[v, 0]) * far
+                n = centres[v, 1] + (at_n - centres[v, 1]) * far
+                cell = grids[v, 2]
+                if abs((e - east) * across_e + (n - north) * across_n) < still * cell:
+                    continue
+                row, col, rows, cols = (grids[v, 1] - n) / cell, (e - grids[v, 0]) / cell, grids[v, 3], grids[v, 4]
+                if family == 1:
+                    row, col, rows, cols = col, row, cols, rows
+                block = round((col - 0.5 * (BLOCK - 1)) / BLOCK)
+                if block < 1 or block >= int(cols) // BLOCK - 1:
+                    continue
+                row += slope * (BLOCK * block + 0.5 * (BLOCK - 1) - col)
+                at = round(row)
+                if at < 2 or at >= int(rows) - 2:
+                    continue
+                total += min(max(sign * sums[v, family, d, block, at], -cap), cap)
+                count += 1
+            if count >= 3:
+                score = total / math.sqrt(count)
+                if score > out[k, 0]:
+                    out[k, 0], out[k, 1], out[k, 2] = score, h, count

@@ -1,0 +1,130 @@
+"""Straight pieces of wires: lines in the difference of one view that the other views show at one height above ground."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from alight.arrays import F32, F64, I64, Mask
+from alight.parallax.wires.line_kernels import BLOCK, REACH, pick_lines, raise_lines, sum_lines
+from alight.parallax.wires.residuals import PlaneView
+
+DIRECTIONS = 40
+SLOPES = np.linspace(-1.0, 1.0, DIRECTIONS // 2, endpoint=False) + 2.0 / DIRECTIONS  # cells down for a cell along
+LONG = BLOCK * (2 * REACH + 1)  # cells of a line, along its nearer axis
+TALL = 16  # cells across, of which a view gives its strongest line only
+LEAST = 3.5  # noise of the sums, of a line in one view that is looked for in the others
+MOST = 400  # lines of a view
+STILL = 2.0  # cells: see `raise_lines`
+CAP = 3.0  # noise of the sums: see `raise_lines`
+STEP = 1.2  # cells by which a line moves in the farthest view from one height to the next
+MOST_HEIGHTS = 300
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Pieces of wires, found by one view and confirmed by others, in no order."""
+
+    own: I64  # (K,) number of the view that shows it
+    score: F64  # (K,) sum of the other views over the root of their number
+    height: F64  # (K,) metres above the plane
+    place: F64  # (K, 2) east, north of its middle
+    along: F64  # (K, 2) unit vector, east, north
+    half: F64  # (K,) metres, half its length
+    shown: F64  # (K, 2) east, north where its view shows it on the plane
+
+    def of(self, which: Mask | I64) -> Segments:
+        """Return some of the pieces."""
+        return Segments(**{k: v[which] for k, v in vars(self).items()})
+
+    @classmethod
+    def joined(cls, parts: Sequence[Segments]) -> Segments:
+        """Return all pieces of all parts."""
+        return cls(**{k: np.concatenate([getattr(p, k) for p in parts]) for k in vars(parts[0])})
+
+
+@dataclass(frozen=True, eq=False)
+class LineSums:
+    """Sums along lines in the differences of all views, over their noise."""
+
+    views: Sequence[PlaneView]
+
+    @cached_property
+    def sums(self) -> F32:
+        """(V, 2, D, B, R) sums; family 0: lines nearly along rows, family 1: the same of the transposed picture."""
+        shapes = [s for v in self.views for s in (v.grid.shape, v.grid.shape[::-1])]
+        most_rows, most_blocks = max(s[0] for s in shapes), max(s[1] for s in shapes) // BLOCK
+        out = np.zeros((len(self.views), 2, len(SLOPES), most_blocks, most_rows), np.float32)
+        for k, v in enumerate(self.views):
+            for family, picture in enumerate((v.difference, v.difference.T)):
+                rows, blocks = picture.shape[0], picture.shape[1] // BLOCK
+                columns = picture[:, : blocks * BLOCK].T.reshape(blocks, BLOCK, rows).swapaxes(0, 1)
+                sums = np.empty((len(SLOPES), blocks, rows), np.float32)
+                sum_lines(np.ascontiguousarray(columns), SLOPES, sums)
+                sample = np.abs(sums[::3, :, ::3])
+                sample = sample[sample > 0]
+                noise = 1.4826 * float(np.median(sample)) if sample.size else 1.0
+                np.multiply(sums, np.float32(1 / max(noise, 1e-6)), out=out[k, family, :, :blocks, :rows])
+        return out
+
+    @cached_property
+    def _grids(self) -> F64:
+        return np.array([[v.grid.east, v.grid.north, v.grid.cell, *v.grid.shape] for v in self.views])
+
+    @cached_property
+    def _centres(self) -> F64:
+        return np.array([v.above for v in self.views])
+
+    def segments(self, own: int, lowest: float, highest: float, least: float) -> Segments:
+        """Return the lines of a view that other views confirm, from `lowest` to `highest` metres above the plane."""
+        family, d, block, row = self._lines(own)
+        signs = np.sign(self.sums[own, family, d, block, row])
+        grid, slope = self.views[own].grid, SLOPES[d]
+        level, middle = family == 0, BLOCK * block + 0.5 * (BLOCK - 1)
+        rows, cols = np.where(level, row, middle), np.where(level, middle, row)
+        shown = np.column_stack([grid.east + cols * grid.cell, grid.north - rows * grid.cell])
+        along = np.column_stack([np.where(level, 1.0, slope), np.where(level, -slope, -1.0)])
+        lengths = np.hypot(1.0, slope)
+        found = np.empty((len(d), 3))
+        lines = np.column_stack([shown, family, d, signs]).astype(np.float64)
+        heights = self._heights(own, lowest, highest)
+        if len(heights):
+            raise_lines(lines, own, heights, self._centres, self._grids, self.sums, SLOPES, STILL, CAP, found)
+        else:
+            found[:] = 0
+        share = 1.0 - found[:, 1] / self.views[own].above[2]
+        middle_m = self.views[own].above[:2] + (shown - self.views[own].above[:2]) * share[:, None]
+        out = Segments(
+            np.full(len(d), own), found[:, 0], found[:, 1], middle_m, along / lengths[:, None],
+            0.5 * LONG * grid.cell * lengths * share, shown,
+        )  # fmt: skip
+        return out.of(found[:, 0] >= least)
+
+    def _lines(self, own: int) -> tuple[I64, I64, I64, I64]:
+        """Return family, slope number, block and row of the strongest lines of a view, (N,) each."""
+        out, rows = np.empty((2, 4 * MOST, 3), np.int64), self.views[own].grid.shape
+        counts = [pick_lines(self.sums[own, f], rows[f], TALL, LEAST, out[f]) for f in range(2)]
+        family = np.repeat(np.arange(2), counts)
+        d, block, row = np.concatenate([out[f, : counts[f]] for f in range(2)]).T
+        strength = np.abs(self.sums[own, family, d, block, row])
+        best = np.argsort(-strength, kind="stable")[:MOST]
+        return family[best], d[best], block[best], row[best]
+
+    def _heights(self, own: int, lowest: float, highest: float) -> F64:
+        """Return the heights (T,), metres above the plane, at which lines are looked for.
+
+        By their number, a line moves by `STEP` cells in the farthest view; it moves with `h / (H - h)`.
+        """
+        up = self._centres[own, 2]
+        highest = min(highest, up - 1.5)
+        base = float(np.hypot(*(self._centres - self._centres[own]).T[:2]).max())
+        if highest <= lowest or base <= 0:
+            return np.zeros(0)
+        low, high = lowest / (up - lowest), highest / (up - highest)
+        step = STEP * self.views[own].grid.cell / base
+        moves = np.linspace(low, high, int(np.clip(math.ceil((high - low) / step), 1, MOST_HEIGHTS)) + 1)
+        return np.asarray(up * moves / (1.0 + moves))

@@ -1,0 +1,117 @@
+"""Pieces of wires joined to wires, the surest first; what a wire explains in any view is not used again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from alight.arrays import F64, Mask
+from alight.parallax.wires.residuals import PlaneView
+from alight.parallax.wires.segments import LONG, Segments
+
+SURE = 5.0  # score of the best piece of a wire
+LIKELY = 3.5  # score of its other pieces
+ROUNDS = 12  # in which a wire grows
+BESIDE = 0.35, 2.0  # metres, and cells, between a piece and the wire that it belongs to
+ASTRAY = 0.16  # rad between them
+GAP = 8.0  # metres along the wire between its pieces
+HIGHER = 1.0, 0.05  # metres, and share of the height, between a piece and its wire
+STEEPEST = 0.25  # rise of a wire over its length
+COVERS = 4.0  # cells beside its image in a view that a wire explains
+CROSSES = 0.4  # sine of the angle up to which lines across that image are explained as well
+
+
+@dataclass(frozen=True, eq=False)
+class Strand:
+    """A wire as it grows: a straight line over the plane."""
+
+    place: F64  # (2,) east, north
+    along: F64  # (2,) unit vector
+    height: float  # metres above the plane, at `place`
+    slope: float  # rise over length
+    low: float  # metres along, of both ends
+    high: float
+    members: Mask  # (K,) its pieces
+
+    @classmethod
+    def of(cls, s: Segments, k: int) -> Strand:
+        """Return a strand of one piece."""
+        half = float(s.half[k])
+        return cls(s.place[k], s.along[k], float(s.height[k]), 0.0, -half, half, np.arange(len(s.own)) == k)
+
+    def _at(self, places: F64) -> tuple[F64, F64]:
+        """Return the positions of (K, 2) places along and across the strand, metres."""
+        away = places - self.place
+        return away @ self.along, away @ self.across
+
+    @property
+    def across(self) -> F64:
+        """Horizontal unit vector across, (2,)."""
+        return np.array([-self.along[1], self.along[0]])
+
+    def gathers(self, s: Segments, cell: float) -> Mask:
+        """Return the mask of the pieces (K,) that continue the strand."""
+        a, b = self._at(s.place)
+        out = (np.abs(b) < BESIDE[0] + BESIDE[1] * cell) & (np.abs(s.along @ self.across) < ASTRAY)
+        out &= np.abs(s.height - self.height - self.slope * a) < HIGHER[0] + HIGHER[1] * self.height
+        return np.asarray(out & (a > self.low - GAP) & (a < self.high + GAP))
+
+    def fitted(self, s: Segments, members: Mask) -> Strand:
+        """Return the strand through its pieces, weighted by their scores."""
+        own = s.of(members)
+        a, b = self._at(own.place)
+        out = replace(self, low=float((a - own.half).min()), high=float((a + own.half).max()), members=members)
+        if len(a) < 3 or np.ptp(a) < 2.0:
+            return out
+        lever = np.column_stack([np.ones_like(a), a]) * own.score[:, None]
+        (aside, turn), (height, slope) = (
+            np.linalg.lstsq(lever, v * own.score, rcond=None)[0] for v in (b, own.height)
+        )
+        along = self.along + turn * self.across
+        return replace(
+            out, place=self.place + aside * self.across, along=along / np.linalg.norm(along), height=float(height),
+            slope=float(np.clip(slope, -STEEPEST, STEEPEST)),
+        )  # fmt: skip
+
+    def ends(self, beyond: float) -> F64:
+        """Return both ends, (2, 3): east, north, height above the plane; continued by `beyond` metres."""
+        at = np.array([self.low - beyond, self.high + beyond])
+        return np.column_stack([self.place + at[:, None] * self.along, self.height + self.slope * at])
+
+    def explains(self, s: Segments, views: Sequence[PlaneView]) -> Mask:
+        """Return the mask of the pieces (K,) that lie on or across its image in their own views."""
+        centres = np.array([v.above for v in views])[:, None]
+        cells, ends = np.array([v.grid.cell for v in views])[s.own], self.ends(3.0)
+        far = centres[..., 2:] / np.maximum(centres[..., 2:] - ends[:, 2:], 0.2)
+        images = centres[..., :2] + (ends[:, :2] - centres[..., :2]) * far  # (V, 2, 2)
+        begin, way = images[s.own, 0], (images[:, 1] - images[:, 0])[s.own]
+        length = np.linalg.norm(way, axis=1)
+        way = way / np.maximum(length, 1e-9)[:, None]
+        away = s.shown - begin
+        along, aside = (away * way).sum(axis=1), np.abs(away[:, 1] * way[:, 0] - away[:, 0] * way[:, 1])
+        crossing = np.abs(s.along[:, 0] * way[:, 1] - s.along[:, 1] * way[:, 0])
+        half = 0.5 * LONG * cells
+        beside = (aside < COVERS * cells) | ((aside < half * crossing + COVERS * cells) & (crossing < CROSSES))
+        return np.asarray(beside & (along > -half) & (along < length + half))
+
+
+def strands(s: Segments, views: Sequence[PlaneView], most: int = 40) -> list[Strand]:
+    """Return up to `most` strands, the one with the surest piece first."""
+    free, out = s.score >= LIKELY, list[Strand]()
+    cell = views[0].grid.cell if views else 0.0
+    while len(out) < most and free.any():
+        k = int(np.argmax(np.where(free, s.score, 0.0)))
+        if s.score[k] < SURE:
+            break
+        one = Strand.of(s, k)
+        for _ in range(ROUNDS):
+            members = free & one.gathers(s, cell)
+            members[k] = True
+            if np.array_equal(members, one.members):
+                break
+            one = one.fitted(s, members)
+        out.append(one)
+        free &= ~(one.members | one.explains(s, views))
+    return out
