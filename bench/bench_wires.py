@@ -1,7 +1,7 @@
 """Wires: spans found, sites left under them, good ground lost, CPU (docs/method/wires.md).
 
-    PYTHONPATH=bench python bench/bench_wires.py                      # tuning flights
-    PYTHONPATH=bench python bench/bench_wires.py --kind test
+PYTHONPATH=bench python bench/bench_wires.py                      # tuning flights
+PYTHONPATH=bench python bench/bench_wires.py --kind test
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from wire_flights import WireFlight, cases, flown
 
 from alight.elevation import on_cells_up_to
 from alight.geometry import Grid
+from alight.hazards.wires import under_wires
 from alight.parallax.wires.find import find_wires
-from alight.records.wires import Wire, nearest_wire
-from alight.settings import Settings
+from alight.records import Wire
+from alight.settings import Lander, Settings
 from alight_sim.spans import TrueSpans
 
 UNDER = 1.5  # metres, reach of the lander
@@ -56,15 +57,15 @@ class FlightRow:
     def line(self) -> str:
         """The numbers in words."""
         share = 100 * self.lost / max(self.far, 1e-9)
-        return f"{self.name:32s} {len(self.wires)} wires, good far {self.far:6.0f} m2 lost {share:5.1f} %, CPU {self.seconds:.3f} s"
+        return (
+            f"{self.name:32s} {len(self.wires)} wires, good far {self.far:6.0f} m2 lost {share:5.1f} %, "
+            f"CPU {self.seconds:.3f} s"
+        )
 
 
 def refused_by(wires: Sequence[Wire], grid: Grid, reach: float) -> Bool:
     """Cells where a wire refuses a touchdown."""
-    from alight.hazards.wires import BEYOND, SLACK
-
-    distance, _ = nearest_wire([w.longer(BEYOND) for w in wires], grid)
-    return np.asarray(distance <= reach + SLACK)
+    return under_wires(wires, grid, Lander(radius=reach))
 
 
 def row_of(f: WireFlight) -> FlightRow:
@@ -110,7 +111,8 @@ def summary(rows: Sequence[FlightRow]) -> list[str]:
         out.append(f"spans of {low:g} to {high:g} pixels: {len(some)}, with good ground left {any_}, 1 m2 of it {kept}")
     far, lost = sum(r.far for r in rows), sum(r.lost for r in rows)
     out.append(
-        f"spans with good ground: {len(spans)}; any of it left {100 * np.mean([s.left > 0 for s in spans] or [0]):.1f} %, "
+        f"spans with good ground: {len(spans)}; any of it left "
+        f"{100 * np.mean([s.left > 0 for s in spans] or [0]):.1f} %, "
         f"1 m2 {100 * np.mean([s.left >= ENOUGH for s in spans] or [0]):.1f} %; good ground far from wires lost "
         f"{100 * lost / max(far, 1e-9):.2f} % of {far:.0f} m2; CPU {np.median([r.seconds for r in rows]):.3f} s"
     )

@@ -33,6 +33,7 @@ REASON_WORDS = {
     Hazard.CLEARANCE: "leaves the rotor or the belly no room",
     Hazard.TERRAIN: "is covered by what cannot be landed on (water, plants, structures)",
     Hazard.TRAFFIC: "is where something moved a moment ago",
+    Hazard.WIRE: "lies under a wire",
     Hazard.UNKNOWN: "has unknown ground within the footprint",
     Hazard.EDGE: "is too near to the map's edge",
     Hazard.DOUBT: "meets every limit, but not surely enough",

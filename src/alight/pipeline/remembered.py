@@ -8,6 +8,7 @@ dry grass is often classified as bare, and it sways.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,11 +17,12 @@ from alight.arrays import F32, F64, I64, U16, Mask
 from alight.geometry import Grid
 from alight.landing.reserve import SIGMAS_OF_TIE
 from alight.raster import cells_as_blocks, upsample, without_specks
-from alight.records import Flag, Terrain, TerrainMap
+from alight.records import Flag, Terrain, TerrainMap, Wire
 
 CELL = 0.5  # metres, size of the remembered cells
 SHARE = 0.5  # least covered share of a remembered cell
 FADES = 60.0  # s, age that doubles the novelty of an earlier look
+WIRES_KEPT = 120.0  # s, for which a wire is remembered: from below it is not seen
 SURE = 0.3  # metres, largest sigma of a tie at which earlier looks are kept
 
 
@@ -185,3 +187,25 @@ class CoverMemory:
             return CoverMemory()
         east, north = self.grid.east + float(shift[0]), self.grid.north + float(shift[1])
         return replace(self, grid=replace(self.grid, east=east, north=north))
+
+
+@dataclass(frozen=True, eq=False)
+class WireMemory:
+    """Wires found by this map and earlier ones, in a map frame; immutable."""
+
+    wires: tuple[Wire, ...] = ()
+    t_ns: tuple[int, ...] = ()  # time of each
+
+    def with_seen(self, wires: Sequence[Wire], t_ns: int) -> WireMemory:
+        """Return a copy with the wires of a map of time `t_ns`; they replace what they cover of earlier wires."""
+        oldest = t_ns - round(WIRES_KEPT * 1e9)
+        kept = [
+            (w, t)
+            for w, t in zip(self.wires, self.t_ns, strict=True)
+            if t >= oldest and not any(new.covers(w) for new in wires)
+        ]
+        return WireMemory((*(w for w, _ in kept), *wires), (*(t for _, t in kept), *[t_ns] * len(wires)))
+
+    def moved(self, shift: F64) -> WireMemory:
+        """Return a copy for a map frame where positions are larger by `shift`, metres."""
+        return replace(self, wires=tuple(w.moved(shift) for w in self.wires))

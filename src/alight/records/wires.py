@@ -29,6 +29,13 @@ class Wire:
         """Horizontal length, metres."""
         return float(np.hypot(*(self.end - self.start)[:2]))
 
+    def covers(self, other: Wire, beside: float = 1.5, along: float = 2.0) -> bool:
+        """Whether both ends of another wire lie within `beside` metres of this one, continued by `along` metres."""
+        whole, ends = self.longer(along), np.array([other.start, other.end])[:, :2]
+        start, way = whole.start[:2], (whole.end - whole.start)[:2]
+        share = np.clip((ends - start) @ way / max(way @ way, 1e-12), 0.0, 1.0)
+        return bool((np.linalg.norm(ends - start - share[:, None] * way, axis=1) <= beside).all())
+
     def longer(self, by: float) -> Wire:
         """Return the wire continued by `by` metres at both ends."""
         way = (self.end - self.start) * (by / max(self.length, 1e-9))

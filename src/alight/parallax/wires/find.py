@@ -17,7 +17,7 @@ from alight.records import ElevationMap, Flag, View
 from alight.records.wires import Wire
 
 MOST_VIEWS = 8
-PIXELS = 1.9  # of the views across a cell, at least: thinner than that, wires are as clear and cost more
+PIXELS = 2.6  # of the views across a cell, at least: thinner than that, wires are as clear and cost more
 LOWEST, HIGHEST = 2.5, 32.0  # metres above the ground, of what is looked for
 PIECES, VIEWS = 6, 4  # least number of pieces of a wire, and of views that show one
 

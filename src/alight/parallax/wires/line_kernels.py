@@ -12,6 +12,17 @@ REACH = 2  # blocks to either side of the middle one
 
 
 @kernel
+def _add(values: F32, down: int, total: F32) -> None:
+    """Add the values (R,) from `down` rows below to `total` (R,), as far as there are such rows."""
+    if down >= 0:
+        here, there = total[: total.size - down], values[down:]
+    else:
+        here, there = total[-down:], values[: values.size + down]
+    for r in range(here.size):
+        here[r] += there[r]
+
+
+@kernel
 def sum_lines(columns: F32, slopes: F64, out: F32) -> None:
     """Fill `out` (D, B, R) with the sums along lines of `2 REACH + 1` blocks through the middle of every block.
 
@@ -26,17 +37,13 @@ def sum_lines(columns: F32, slopes: F64, out: F32) -> None:
         part[:] = np.float32(0)
         for k in range(BLOCK):
             down = round(slopes[d] * (k - 0.5 * (BLOCK - 1)))
-            low, high = max(0, -down), min(rows, rows - down)
             for b in range(blocks):
-                for r in range(low, high):
-                    part[b, r] += columns[k, b, r + down]
+                _add(columns[k, b], down, part[b])
         out[d] = np.float32(0)
         for step in range(-REACH, REACH + 1):
             down = round(slopes[d] * BLOCK * step)
-            low, high = max(0, -down), min(rows, rows - down)
             for b in range(max(0, -step), min(blocks, blocks - step)):
-                for r in range(low, high):
-                    out[d, b, r] += part[b + step, r + down]
+                _add(part[b + step], down, out[d, b])
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Straight pieces of wires: lines in the difference of one view that the other views show at one height above ground."""
+"""Straight pieces of wires: lines in the difference of one view that other views show at one height above ground."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ SLOPES = np.linspace(-1.0, 1.0, DIRECTIONS // 2, endpoint=False) + 2.0 / DIRECTI
 LONG = BLOCK * (2 * REACH + 1)  # cells of a line, along its nearer axis
 TALL = 16  # cells across, of which a view gives its strongest line only
 LEAST = 3.5  # noise of the sums, of a line in one view that is looked for in the others
-MOST = 400  # lines of a view
+MOST = 150  # lines of a view
 STILL = 2.0  # cells: see `raise_lines`
 CAP = 3.0  # noise of the sums: see `raise_lines`
-STEP = 1.2  # cells by which a line moves in the farthest view from one height to the next
-MOST_HEIGHTS = 300
+STEP = 1.5  # cells by which a line moves in the farthest view from one height to the next
+MOST_HEIGHTS = 150
 
 
 @dataclass(frozen=True, eq=False)

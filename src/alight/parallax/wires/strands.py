@@ -66,9 +66,7 @@ class Strand:
         if len(a) < 3 or np.ptp(a) < 2.0:
             return out
         lever = np.column_stack([np.ones_like(a), a]) * own.score[:, None]
-        (aside, turn), (height, slope) = (
-            np.linalg.lstsq(lever, v * own.score, rcond=None)[0] for v in (b, own.height)
-        )
+        (aside, turn), (height, slope) = (np.linalg.lstsq(lever, v * own.score, rcond=None)[0] for v in (b, own.height))
         along = self.along + turn * self.across
         return replace(
             out, place=self.place + aside * self.across, along=along / np.linalg.norm(along), height=float(height),
