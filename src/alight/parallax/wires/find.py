@@ -72,7 +72,7 @@ def find_wires(views: Sequence[View], elevation: ElevationMap) -> tuple[Wire, ..
     out = []
     for one in strands(found, sums.views):
         if _is_wire(one, found):
-            start, end = one.ends(0.0) + (0.0, 0.0, plane)
+            start, end = one.followed(found, sums).ends(0.0) + (0.0, 0.0, plane)
             own = one.members
             out.append(Wire(start, end, len(np.unique(found.own[own])), float(found.score[own].max())))
     return tuple(out)

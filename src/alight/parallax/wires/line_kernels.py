@@ -70,7 +70,7 @@ def pick_lines(sums: F32, rows: int, tall: int, least: float, out: I64) -> int:
 @kernel
 def raise_lines(
     lines: F64, own: int, heights: F64, centres: F64, grids: F64, sums: F32, slopes: F64, still: float, cap: float,
-    out: F64,
+    fewest: int, out: F64,
 ) -> None:  # fmt: skip
     """Find the height at which the other views show each line best.
 
@@ -87,7 +87,9 @@ def raise_lines(
         slopes: (D,) cells down for a cell to the right.
         still: shift in cells, across the line, up to which a view cannot tell the line from one on the ground.
         cap: largest count of a view.
-        out: (K, 3) sum over the root of the number of views, height [m], number of views; best of all heights.
+        fewest: least number of other views.
+        out: (K, 3) sum over the root of the number of views, height [m], number of views; best of all heights. Without
+            enough views the sum is 0, and the number is the largest of all heights.
     """
     for k in range(lines.shape[0]):
         east, north, family, d, sign = lines[k, 0], lines[k, 1], int(lines[k, 2]), int(lines[k, 3]), lines[k, 4]
@@ -123,7 +125,7 @@ def raise_lines(
                     continue
                 total += min(max(sign * sums[v, family, d, block, at], -cap), cap)
                 count += 1
-            if count >= 3:
-                score = total / math.sqrt(count)
-                if score > out[k, 0]:
-                    out[k, 0], out[k, 1], out[k, 2] = score, h, count
+            if count >= fewest and total / math.sqrt(count) > out[k, 0]:
+                out[k, 0], out[k, 1], out[k, 2] = total / math.sqrt(count), h, count
+            elif out[k, 0] == 0.0:
+                out[k, 2] = max(out[k, 2], count)

@@ -21,6 +21,7 @@ LEAST = 3.5  # noise of the sums, of a line in one view that is looked for in th
 MOST = 150  # lines of a view
 STILL = 2.0  # cells: see `raise_lines`
 CAP = 3.0  # noise of the sums: see `raise_lines`
+FEWEST = 3  # other views that confirm a line
 STEP = 1.5  # cells by which a line moves in the farthest view from one height to the next
 MOST_HEIGHTS = 150
 
@@ -36,6 +37,7 @@ class Segments:
     along: F64  # (K, 2) unit vector, east, north
     half: F64  # (K,) metres, half its length
     shown: F64  # (K, 2) east, north where its view shows it on the plane
+    sign: F64  # (K,) 1: brighter than the ground, -1: darker
 
     def of(self, which: Mask | I64) -> Segments:
         """Return some of the pieces."""
@@ -93,16 +95,39 @@ class LineSums:
         lines = np.column_stack([shown, family, d, signs]).astype(np.float64)
         heights = self._heights(own, lowest, highest)
         if len(heights):
-            raise_lines(lines, own, heights, self._centres, self._grids, self.sums, SLOPES, STILL, CAP, found)
+            raise_lines(lines, own, heights, self._centres, self._grids, self.sums, SLOPES, STILL, CAP, FEWEST, found)
         else:
             found[:] = 0
         share = 1.0 - found[:, 1] / self.views[own].above[2]
         middle_m = self.views[own].above[:2] + (shown - self.views[own].above[:2]) * share[:, None]
         out = Segments(
             np.full(len(d), own), found[:, 0], found[:, 1], middle_m, along / lengths[:, None],
-            0.5 * LONG * grid.cell * lengths * share, shown,
+            0.5 * LONG * grid.cell * lengths * share, shown, signs,
         )  # fmt: skip
         return out.of(found[:, 0] >= least)
+
+    def around(self, own: int, place: F64, along: F64, sign: float, height: float) -> tuple[float, float, int]:
+        """Return score, height [m] and number of views of the best line near one line in the air.
+
+        Args:
+            own: number of a view that shows it.
+            place: (2,) east, north.
+            along: (2,) unit vector.
+            sign: 1: brighter than the ground, -1: darker.
+            height: metres above the plane.
+        """
+        above, cell = self.views[own].above, self.views[own].grid.cell
+        heights = np.clip(height + np.linspace(-1.0, 1.0, 7), 0.5, above[2] - 1.5)
+        level = abs(along[0]) >= abs(along[1])
+        slope = -along[1] / along[0] if level else -along[0] / along[1]
+        beside = np.linspace(-1.5, 1.5, 4)[:, None] * cell * np.array([-along[1], along[0]])
+        shown = above[:2] + (place + beside - above[:2]) * (above[2] / (above[2] - heights[3]))
+        d = float(np.argmin(np.abs(SLOPES - slope)))
+        lines = np.column_stack([shown, np.tile([0.0 if level else 1.0, d, sign], (len(shown), 1))])
+        found = np.empty((len(shown), 3))
+        raise_lines(lines, own, heights, self._centres, self._grids, self.sums, SLOPES, STILL, CAP, FEWEST - 1, found)
+        score, at, count = found[int(np.argmax(found[:, 0]))]
+        return float(score), float(at), int(count)
 
     def _lines(self, own: int) -> tuple[I64, I64, I64, I64]:
         """Return family, slope number, block and row of the strongest lines of a view, (N,) each."""

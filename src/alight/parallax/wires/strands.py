@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from alight.arrays import F64, Mask
+from alight.arrays import F64, I64, Mask
 from alight.parallax.wires.residuals import PlaneView
-from alight.parallax.wires.segments import LONG, Segments
+from alight.parallax.wires.segments import FEWEST, LONG, LineSums, Segments
 
 SURE = 5.0  # score of the best piece of a wire
 LIKELY = 3.5  # score of its other pieces
@@ -20,6 +20,9 @@ GAP = 8.0  # metres along the wire between its pieces
 HIGHER = 1.0, 0.05  # metres, and share of the height, between a piece and its wire
 STEEPEST = 0.25  # rise of a wire over its length
 COVERS = 4.0  # cells beside its image in a view that a wire explains
+FOLLOWED = 2.5  # score up to which a wire is followed beyond its pieces
+STRIDE = 0.25  # of the length of a piece, from one place to the next when it is followed
+FARTHEST = 30.0  # metres that it is followed
 CROSSES = 0.4  # sine of the angle up to which lines across that image are explained as well
 
 
@@ -78,6 +81,26 @@ class Strand:
         at = np.array([self.low - beyond, self.high + beyond])
         return np.column_stack([self.place + at[:, None] * self.along, self.height + self.slope * at])
 
+    def followed(self, s: Segments, sums: LineSums) -> Strand:
+        """Return the strand continued to where views show that it ends, over what too few views show."""
+        own, sign = _most_common(s.own[self.members]), float(np.sign(s.sign[self.members].sum()) or 1.0)
+        stride = STRIDE * LONG * sums.views[0].grid.cell
+        low, high = self.low, self.high
+        for way in (-1.0, 1.0):
+            at = low if way < 0 else high
+            height, gone = self.height + self.slope * at, 0.0
+            while gone < FARTHEST:
+                at += way * stride
+                gone += stride
+                score, found, count = sums.around(own, self.place + at * self.along, self.along, sign, height)
+                if score >= FOLLOWED:
+                    height = found
+                elif count >= FEWEST - 1:
+                    at -= way * stride
+                    break
+            low, high = (at, high) if way < 0 else (low, at)
+        return replace(self, low=low, high=high)
+
     def explains(self, s: Segments, views: Sequence[PlaneView]) -> Mask:
         """Return the mask of the pieces (K,) that lie on or across its image in their own views."""
         centres = np.array([v.above for v in views])[:, None]
@@ -93,6 +116,10 @@ class Strand:
         half = 0.5 * LONG * cells
         beside = (aside < COVERS * cells) | ((aside < half * crossing + COVERS * cells) & (crossing < CROSSES))
         return np.asarray(beside & (along > -half) & (along < length + half))
+
+
+def _most_common(numbers: I64) -> int:
+    return int(np.bincount(numbers).argmax())
 
 
 def strands(s: Segments, views: Sequence[PlaneView], most: int = 40) -> list[Strand]:
