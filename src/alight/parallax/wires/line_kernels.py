@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from alight.arrays import F32, F64, I64
+from alight.arrays import F32, F64, I64, U8
 from alight.compiled import kernel
 
 BLOCK = 8  # cells along a line that are added first
@@ -68,9 +68,17 @@ def pick_lines(sums: F32, rows: int, tall: int, least: float, out: I64) -> int:
 
 
 @kernel
+def _is_known(known: U8, block: int, row: int) -> bool:
+    """Whether most of a block's row (B, R) is known; a block beyond the picture is not."""
+    if block < 0 or block >= known.shape[0] or row < 0 or row >= known.shape[1]:
+        return False
+    return known[block, row] > 127
+
+
+@kernel
 def raise_lines(
-    lines: F64, own: int, heights: F64, centres: F64, grids: F64, sums: F32, slopes: F64, still: float, cap: float,
-    fewest: int, out: F64,
+    lines: F64, own: int, heights: F64, centres: F64, grids: F64, known: U8, sums: F32, slopes: F64, still: float,
+    cap: float, fewest: int, out: F64,
 ) -> None:  # fmt: skip
     """Find the height at which the other views show each line best.
 
@@ -83,6 +91,7 @@ def raise_lines(
         heights: (T,) above the plane, metres, rising.
         centres: (V, 3) camera centres, metres above the plane.
         grids: (V, 5) east, north of the first cell, cell [m], rows, columns of each view's part of the plane.
+        known: (V, 2, B, R) share of the cells of each block and row whose difference is known, 0 to 255; as the sums.
         sums: (V, 2, D, B, R) sums along lines over their noise; family 1 with rows and columns exchanged.
         slopes: (D,) cells down for a cell to the right.
         still: shift in cells, across the line, up to which a view cannot tell the line from one on the ground.
@@ -122,6 +131,11 @@ def raise_lines(
                 row += slope * (BLOCK * block + 0.5 * (BLOCK - 1) - col)
                 at = round(row)
                 if at < 2 or at >= int(rows) - 2:
+                    continue
+                down = round(slope * BLOCK * REACH)
+                if not (_is_known(known[v, family], block - REACH, at - down)):
+                    continue
+                if not (_is_known(known[v, family], block + REACH, at + down)):
                     continue
                 total += min(max(sign * sums[v, family, d, block, at], -cap), cap)
                 count += 1

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from alight.arrays import F32, F64, Mask
+from alight.arrays import F32, F64, U8, Mask
 from alight.geometry import Box, Camera, Grid, ground_projection
 from alight.parallax.views import (
     Buffers,
@@ -46,6 +47,7 @@ class PlaneView:
     grid: Grid  # part of the plane
     above: F64  # (3,) metres, camera centre: east, north, height above the plane
     difference: F32  # (R, C) sigmas; 0 where unknown
+    known: U8  # (R, C) 255 where the difference is known, else 0
 
 
 def _band(view: View, cell: float, ground: float) -> Prepared:
@@ -114,7 +116,8 @@ def plane_views(views: Sequence[View], grid: Grid, height: F32, seen: Mask, plan
         d = np.clip(d / noise[g.box], -CLIP, CLIP) * clear
         above = np.array([*g.view.centre[:2], g.view.centre[2] - plane])
         part = grid.part(g.box)
-        out.append(PlaneView(part, above, _to_plane(d, part, height[g.box] - np.float32(plane), above)))
+        to_plane = _RaysToPlane.of(part, height[g.box] - np.float32(plane), above)
+        out.append(PlaneView(part, above, to_plane.moved(d), to_plane.moved((255 * clear).astype(np.uint8))))
     return out
 
 
@@ -156,20 +159,32 @@ def _smooth(total: F32, count: F32) -> F32:
     return np.asarray(np.maximum(out, max(least, 1e-6)), np.float32)
 
 
-def _to_plane(values: F32, grid: Grid, above_plane: F32, above: F64) -> F32:
-    """Move values of the ground along the rays of a camera to the plane.
+class _RaysToPlane(NamedTuple):
+    """Where the rays of a camera through the cells of a plane end on the ground."""
 
-    A cell of the plane shows the ground where its ray ends: nearer to the camera by the share of the ground's height in
-    the camera's, which is found in a few steps.
-    """
-    east, north = grid.xy()
-    away_e = ((east - above[0]) / grid.cell).astype(np.float32)[None, :]
-    away_n = ((above[1] - north) / grid.cell).astype(np.float32)[:, None]
-    col, row = np.float32((above[0] - grid.east) / grid.cell), np.float32((grid.north - above[1]) / grid.cell)
-    over = above_plane * np.float32(1 / above[2])
-    share = over
-    for last in (False, False, True):
-        at = col + away_e * (1 - share), row + away_n * (1 - share)
-        if not last:
+    col: F32  # (R, C) on the same grid
+    row: F32
+
+    @classmethod
+    def of(cls, grid: Grid, above_plane: F32, above: F64) -> _RaysToPlane:
+        """Follow the rays: the ground is nearer to the camera by the share of its height in the camera's.
+
+        Args:
+            grid: cells of the plane and of the ground.
+            above_plane: (R, C) metres, height of the ground.
+            above: (3,) metres, camera centre: east, north, height above the plane.
+        """
+        east, north = grid.xy()
+        away_e = ((east - above[0]) / grid.cell).astype(np.float32)[None, :]
+        away_n = ((above[1] - north) / grid.cell).astype(np.float32)[:, None]
+        col, row = np.float32((above[0] - grid.east) / grid.cell), np.float32((grid.north - above[1]) / grid.cell)
+        over = above_plane * np.float32(1 / above[2])
+        share = over
+        for _ in range(2):
+            at = col + away_e * (1 - share), row + away_n * (1 - share)
             share = cv2.remap(over, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(cv2.remap(values, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
+        return cls(col + away_e * (1 - share), row + away_n * (1 - share))
+
+    def moved(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return what each cell of the plane shows of the ground's `values` (R, C); 0 beyond the grid."""
+        return np.asarray(cv2.remap(values, *self, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0))

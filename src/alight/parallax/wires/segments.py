@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
 import numpy as np
 
-from alight.arrays import F32, F64, I64, Mask
+from alight.arrays import F32, F64, I64, U8, Mask
 from alight.parallax.wires.line_kernels import BLOCK, REACH, pick_lines, raise_lines, sum_lines
 from alight.parallax.wires.residuals import PlaneView
 
@@ -74,6 +75,19 @@ class LineSums:
         return out
 
     @cached_property
+    def _known(self) -> U8:
+        """(V, 2, B, R) share of each block's row that is known, 0 to 255."""
+        out = np.zeros((len(self.views), 2, *self.sums.shape[3:]), np.uint8)
+        for k, v in enumerate(self.views):
+            for family, known in enumerate((v.known, v.known.T)):
+                rows, blocks = known.shape[0], known.shape[1] // BLOCK
+                shares = cv2.resize(
+                    np.ascontiguousarray(known[:, : blocks * BLOCK]), (blocks, rows), interpolation=cv2.INTER_AREA
+                )
+                out[k, family, :blocks, :rows] = shares.T
+        return out
+
+    @cached_property
     def _grids(self) -> F64:
         return np.array([[v.grid.east, v.grid.north, v.grid.cell, *v.grid.shape] for v in self.views])
 
@@ -95,7 +109,20 @@ class LineSums:
         lines = np.column_stack([shown, family, d, signs]).astype(np.float64)
         heights = self._heights(own, lowest, highest)
         if len(heights):
-            raise_lines(lines, own, heights, self._centres, self._grids, self.sums, SLOPES, STILL, CAP, FEWEST, found)
+            raise_lines(
+                lines,
+                own,
+                heights,
+                self._centres,
+                self._grids,
+                self._known,
+                self.sums,
+                SLOPES,
+                STILL,
+                CAP,
+                FEWEST,
+                found,
+            )
         else:
             found[:] = 0
         share = 1.0 - found[:, 1] / self.views[own].above[2]
@@ -125,7 +152,20 @@ class LineSums:
         d = float(np.argmin(np.abs(SLOPES - slope)))
         lines = np.column_stack([shown, np.tile([0.0 if level else 1.0, d, sign], (len(shown), 1))])
         found = np.empty((len(shown), 3))
-        raise_lines(lines, own, heights, self._centres, self._grids, self.sums, SLOPES, STILL, CAP, FEWEST - 1, found)
+        raise_lines(
+            lines,
+            own,
+            heights,
+            self._centres,
+            self._grids,
+            self._known,
+            self.sums,
+            SLOPES,
+            STILL,
+            CAP,
+            FEWEST - 1,
+            found,
+        )
         score, at, count = found[int(np.argmax(found[:, 0]))]
         return float(score), float(at), int(count)
 
