@@ -36,6 +36,7 @@ STEEPEST = 4.0  # tangent of the angle from straight down up to which a picture'
 LEAST_SIDE = 64  # cells, of the part of the ground that a view shows
 COMMON = 1.5  # mean deviations from the common picture at which a view is clipped, so that a wire leaves no ghost in it
 CLIP = 3.0  # sigmas at which the difference of one cell is clipped: one stone is no line
+SLIDES = 15  # cells, window that slides as one
 NEARBY = 15  # cells, window of the noise
 QUIET = 0.5  # of the median noise, the least noise that is assumed
 
@@ -108,7 +109,7 @@ def plane_views(views: Sequence[View], grid: Grid, height: F32, seen: Mask, plan
     if len(ground) < 3:
         return []
     mean, count = _common(ground, grid)
-    differences = [(g.light - mean[g.box]) * (g.known * (count[g.box] >= 3)) for g in ground]
+    differences = _less_slides([(g.light - mean[g.box]) * (g.known * (count[g.box] >= 3)) for g in ground], ground, mean)
     noise = _noise(differences, ground, count)
     out = []
     for g, d in zip(ground, differences, strict=True):
@@ -140,6 +141,29 @@ def _common(ground: Sequence[_OnGround], grid: Grid) -> tuple[F32, F32]:
         m, limit = mean[g.box], most[g.box]
         total[g.box] += (m + np.clip(g.light - m, -limit, limit)) * g.known
     return total / np.maximum(count, 1), count
+
+
+def _less_slides(differences: Sequence[F32], ground: Sequence[_OnGround], mean: F32) -> list[F32]:
+    """Return the differences (R, C) less what a slide of the common picture explains, window by window.
+
+    Heights and poses are not exact, so that views of the same ground are a fraction of a cell apart: most of what
+    differs. A slide by (a, b) cells adds `a dm/dx + b dm/dy`, which is fitted by least squares. No slide of the ground
+    makes a wire.
+    """
+    size = (SLIDES, SLIDES)
+    dx, dy = (cv2.Sobel(mean, -1, *d, ksize=1, scale=0.5) for d in ((1, 0), (0, 1)))
+    xx, xy, yy = (cv2.boxFilter(v, -1, size) for v in (dx * dx, dx * dy, dy * dy))
+    least = 0.1 * float(np.mean(xx + yy)) + 1e-12
+    xx, yy = xx + least, yy + least
+    scale = 1 / (xx * yy - xy * xy)
+    out = []
+    for g, d in zip(ground, differences, strict=True):
+        x, y = dx[g.box], dy[g.box]
+        ox, oy = (cv2.boxFilter(v * d, -1, size) for v in (x, y))
+        a = (yy[g.box] * ox - xy[g.box] * oy) * scale[g.box]
+        b = (xx[g.box] * oy - xy[g.box] * ox) * scale[g.box]
+        out.append((d - a * x - b * y) * (d != 0))
+    return out
 
 
 def _noise(differences: Sequence[F32], ground: Sequence[_OnGround], count: F32) -> F32:

@@ -68,10 +68,7 @@ class LineSums:
                 columns = picture[:, : blocks * BLOCK].T.reshape(blocks, BLOCK, rows).swapaxes(0, 1)
                 sums = np.empty((len(SLOPES), blocks, rows), np.float32)
                 sum_lines(np.ascontiguousarray(columns), SLOPES, sums)
-                sample = np.abs(sums[::3, :, ::3])
-                sample = sample[sample > 0]
-                noise = 1.4826 * float(np.median(sample)) if sample.size else 1.0
-                np.multiply(sums, np.float32(1 / max(noise, 1e-6)), out=out[k, family, :, :blocks, :rows])
+                np.multiply(sums, 1 / _noise_of(sums), out=out[k, family, :, :blocks, :rows])
         return out
 
     @cached_property
@@ -193,3 +190,14 @@ class LineSums:
         step = STEP * self.views[own].grid.cell / base
         moves = np.linspace(low, high, int(np.clip(math.ceil((high - low) / step), 1, MOST_HEIGHTS)) + 1)
         return np.asarray(up * moves / (1.0 + moves))
+
+
+def _noise_of(sums: F32) -> F32:
+    """Return the noise (D, 1, 1) of the sums (D, B, R) of each direction: ground with a grain is noisy along it."""
+    some = np.abs(sums[:, :, ::3]).reshape(len(sums), -1)
+    some = np.where(some > 0, some, np.nan)
+    with np.errstate(all="ignore"):
+        each = np.array([np.median(v[~np.isnan(v)]) if not np.isnan(v).all() else np.nan for v in some])
+    usual = np.nanmedian(each) if np.isfinite(each).any() else 1.0
+    each = np.maximum(np.nan_to_num(each, nan=usual), usual)
+    return np.asarray(1.4826 * np.maximum(each, 1e-6)[:, None, None], np.float32)
