@@ -19,7 +19,8 @@ from alight.records.wires import Wire
 MOST_VIEWS = 8
 PIXELS = 2.6  # of the views across a cell, at least: thinner than that, wires are as clear and cost more
 LOWEST, HIGHEST = 2.5, 32.0  # metres above the ground, of what is looked for
-PIECES, VIEWS = 6, 4  # least number of pieces of a wire, and of views that show one
+EVIDENCE = 6.5  # least evidence of a wire, see `Strand.evidence`
+VIEWS = 2  # least number of views that show a piece of it
 
 
 def chosen_views(views: Sequence[View], most: int = MOST_VIEWS) -> list[View]:
@@ -49,9 +50,8 @@ def all_segments(sums: LineSums) -> Segments | None:
     return Segments.joined(parts) if parts else None
 
 
-def _is_wire(one: Strand, s: Segments) -> bool:
-    own = s.own[one.members]
-    return len(own) >= PIECES and len(np.unique(own)) >= VIEWS
+def _is_wire(one: Strand, s: Segments, sums: LineSums) -> bool:
+    return len(np.unique(s.own[one.members])) >= VIEWS and one.evidence(s, sums) >= EVIDENCE
 
 
 def find_wires(views: Sequence[View], elevation: ElevationMap) -> tuple[Wire, ...]:
@@ -71,8 +71,8 @@ def find_wires(views: Sequence[View], elevation: ElevationMap) -> tuple[Wire, ..
         return ()
     out = []
     for one in strands(found, sums.views):
-        if _is_wire(one, found):
+        if _is_wire(one, found, sums):
             start, end = one.followed(found, sums).ends(0.0) + (0.0, 0.0, plane)
             own = one.members
-            out.append(Wire(start, end, len(np.unique(found.own[own])), float(found.score[own].max())))
+            out.append(Wire(start, end, len(np.unique(found.own[own])), one.evidence(found, sums)))
     return tuple(out)

@@ -109,7 +109,9 @@ def plane_views(views: Sequence[View], grid: Grid, height: F32, seen: Mask, plan
     if len(ground) < 3:
         return []
     mean, count = _common(ground, grid)
-    differences = _less_slides([(g.light - mean[g.box]) * (g.known * (count[g.box] >= 3)) for g in ground], ground, mean)
+    differences = _less_slides(
+        [(g.light - mean[g.box]) * (g.known * (count[g.box] >= 3)) for g in ground], ground, mean
+    )
     noise = _noise(differences, ground, count)
     out = []
     for g, d in zip(ground, differences, strict=True):

@@ -81,9 +81,27 @@ class Strand:
         at = np.array([self.low - beyond, self.high + beyond])
         return np.column_stack([self.place + at[:, None] * self.along, self.height + self.slope * at])
 
+    def _sign(self, s: Segments) -> float:
+        """Return 1 if most pieces are brighter than the ground, else -1."""
+        return float(np.sign(s.sign[self.members].sum()) or 1.0)
+
+    def evidence(self, s: Segments, sums: LineSums) -> float:
+        """Return the sum of the scores along the strand over the root of their number: noise of one score.
+
+        The places are a piece apart, so that their noise is independent. One lucky piece of ground makes no wire.
+        """
+        own, apart = _most_common(s.own[self.members]), 1.6 * float(np.median(s.half[self.members]))
+        count = max(int((self.high - self.low) / apart), 1)
+        at = 0.5 * (self.low + self.high) + apart * (np.arange(count) - 0.5 * (count - 1))
+        scores = [
+            sums.around(own, self.place + a * self.along, self.along, self._sign(s), self.height + self.slope * a)[0]
+            for a in at.tolist()
+        ]
+        return float(np.sum(scores) / np.sqrt(count))
+
     def followed(self, s: Segments, sums: LineSums) -> Strand:
         """Return the strand continued to where views show that it ends, over what too few views show."""
-        own, sign = _most_common(s.own[self.members]), float(np.sign(s.sign[self.members].sum()) or 1.0)
+        own, sign = _most_common(s.own[self.members]), self._sign(s)
         stride = STRIDE * LONG * sums.views[0].grid.cell
         low, high = self.low, self.high
         for way in (-1.0, 1.0):
