@@ -23,7 +23,7 @@ EVIDENCE = 6.5  # least evidence of a wire, see `Strand.evidence`
 VIEWS = 2  # least number of views that show a piece of it
 
 
-def chosen_views(views: Sequence[View], most: int = MOST_VIEWS) -> list[View]:
+def chosen_views(views: Sequence[View], most: int) -> list[View]:
     """Return up to `most` views of one camera, evenly over the times of all."""
     first = min((v.cam for v in views), default=0)
     times = sorted({v.t_ns for v in views if v.cam == first})
@@ -61,7 +61,7 @@ def find_wires(views: Sequence[View], elevation: ElevationMap) -> tuple[Wire, ..
         views: views with the poses from which the map was made.
         elevation: the map.
     """
-    views = chosen_views(views)
+    views = chosen_views(views, MOST_VIEWS)
     if len(views) < 3 or not np.isfinite(elevation.height).any():
         return ()
     grid, height, seen, plane = ground_of(elevation, views)
