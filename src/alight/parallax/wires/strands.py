@@ -140,13 +140,27 @@ def _most_common(numbers: I64) -> int:
     return int(np.bincount(numbers).argmax())
 
 
+def _support(s: Segments, cell: float) -> F64:
+    """Return the sum of the scores (K,) of all pieces that lie on the line of each: a wire is shown again and again."""
+    place, along = s.place.astype(np.float32), s.along.astype(np.float32)
+    away = place[None] - place[:, None]  # (K, K, 2)
+    ahead = (away * along[:, None]).sum(axis=2)
+    aside = away[..., 1] * along[:, None, 0] - away[..., 0] * along[:, None, 1]
+    turned = along[:, None, 0] * along[None, :, 1] - along[:, None, 1] * along[None, :, 0]
+    height = s.height.astype(np.float32)
+    near = (np.abs(aside) < BESIDE[0] + BESIDE[1] * cell) & (np.abs(turned) < ASTRAY) & (np.abs(ahead) < GAP)
+    near &= np.abs(height[None] - height[:, None]) < HIGHER[0] + HIGHER[1] * height
+    return np.asarray(near @ s.score)
+
+
 def strands(s: Segments, views: Sequence[PlaneView], most: int = 40) -> list[Strand]:
-    """Return up to `most` strands, the one with the surest piece first."""
+    """Return up to `most` strands, the one with the best supported piece first."""
     free, out = s.score >= LIKELY, list[Strand]()
     cell = views[0].grid.cell if views else 0.0
+    support = _support(s, cell)
     while len(out) < most and free.any():
-        k = int(np.argmax(np.where(free, s.score, 0.0)))
-        if s.score[k] < SURE:
+        k = int(np.argmax(np.where(free & (s.score >= SURE), support, 0.0)))
+        if not free[k] or s.score[k] < SURE:
             break
         one = Strand.of(s, k)
         for _ in range(ROUNDS):
