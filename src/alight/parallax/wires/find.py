@@ -11,7 +11,7 @@ from alight.geometry import Grid
 from alight.parallax.views import ground_sampling
 from alight.parallax.wires.residuals import plane_views
 from alight.parallax.wires.segments import LineSums, Segments
-from alight.parallax.wires.strands import LIKELY, Strand, strands
+from alight.parallax.wires.strands import LIKELY, STEEPEST, Strand, strands
 from alight.raster import nearest_known
 from alight.records import ElevationMap, Flag, View
 from alight.records.wires import Wire
@@ -51,7 +51,8 @@ def all_segments(sums: LineSums) -> Segments | None:
 
 
 def _is_wire(one: Strand, s: Segments, sums: LineSums) -> bool:
-    return len(np.unique(s.own[one.members])) >= VIEWS and one.evidence(s, sums) >= EVIDENCE
+    level = abs(one.slope) < STEEPEST
+    return level and len(np.unique(s.own[one.members])) >= VIEWS and one.evidence(s, sums) >= EVIDENCE
 
 
 def find_wires(views: Sequence[View], elevation: ElevationMap) -> tuple[Wire, ...]:

@@ -39,6 +39,7 @@ class Segments:
     half: F64  # (K,) metres, half its length
     shown: F64  # (K, 2) east, north where its view shows it on the plane
     sign: F64  # (K,) 1: brighter than the ground, -1: darker
+    vague: F64  # (K,) metres of height that move it by a cell in the view that tells most
 
     def of(self, which: Mask | I64) -> Segments:
         """Return some of the pieces."""
@@ -127,8 +128,18 @@ class LineSums:
         out = Segments(
             np.full(len(d), own), found[:, 0], found[:, 1], middle_m, along / lengths[:, None],
             0.5 * LONG * grid.cell * lengths * share, shown, signs,
+            self._vague(own, along / lengths[:, None], found[:, 1]),
         )  # fmt: skip
         return out.of(found[:, 0] >= least)
+
+    def _vague(self, own: int, along: F64, height: F64) -> F64:
+        """Return the metres of height (K,) that move lines by one cell, across, in the view that tells most.
+
+        A line at `h` moves by `b h / (H - h)` for a baseline `b` across it.
+        """
+        base = (self._centres - self._centres[own])[:, :2] @ np.array([-along[:, 1], along[:, 0]])  # (V, K)
+        up, widest = self._centres[own, 2], np.abs(base).max(axis=0)
+        return np.asarray(self.views[own].grid.cell * (up - height) ** 2 / np.maximum(widest * up, 1e-3))
 
     def around(self, own: int, place: F64, along: F64, sign: float, height: float) -> tuple[float, float, int]:
         """Return score, height [m] and number of views of the best line near one line in the air.

@@ -18,11 +18,13 @@ BESIDE = 0.35, 2.0  # metres, and cells, between a piece and the wire that it be
 ASTRAY = 0.16  # rad between them
 GAP = 8.0  # metres along the wire between its pieces
 HIGHER = 1.0, 0.05  # metres, and share of the height, between a piece and its wire
-STEEPEST = 0.25  # rise of a wire over its length
+VAGUE, ASIDE = 2.0, 0.2  # cells of which height and place of a piece are unsure; metres aside for a metre of height
+STEEPEST = 0.2  # rise of a wire over its length; steeper lines are posts and rims of crowns
 COVERS = 4.0  # cells beside its image in a view that a wire explains
 FOLLOWED = 2.5  # score up to which a wire is followed beyond its pieces
 STRIDE = 0.25  # of the length of a piece, from one place to the next when it is followed
 FARTHEST = 30.0  # metres that it is followed
+UNSEEN = 1.0, 15.0  # of its length, and metres, that it is continued over what no view shows, at most
 CROSSES = 0.4  # sine of the angle up to which lines across that image are explained as well
 
 
@@ -57,8 +59,9 @@ class Strand:
     def gathers(self, s: Segments, cell: float) -> Mask:
         """Return the mask of the pieces (K,) that continue the strand."""
         a, b = self._at(s.place)
-        out = (np.abs(b) < BESIDE[0] + BESIDE[1] * cell) & (np.abs(s.along @ self.across) < ASTRAY)
-        out &= np.abs(s.height - self.height - self.slope * a) < HIGHER[0] + HIGHER[1] * self.height
+        vague = VAGUE * s.vague
+        out = (np.abs(b) < BESIDE[0] + BESIDE[1] * cell + ASIDE * vague) & (np.abs(s.along @ self.across) < ASTRAY)
+        out &= np.abs(s.height - self.height - self.slope * a) < HIGHER[0] + HIGHER[1] * self.height + vague
         return np.asarray(out & (a > self.low - GAP) & (a < self.high + GAP))
 
     def fitted(self, s: Segments, members: Mask) -> Strand:
@@ -106,16 +109,18 @@ class Strand:
         low, high = self.low, self.high
         for way in (-1.0, 1.0):
             at = low if way < 0 else high
-            height, gone = self.height + self.slope * at, 0.0
+            height, gone, unseen = self.height + self.slope * at, 0.0, 0.0
             while gone < FARTHEST:
                 at += way * stride
                 gone += stride
                 score, found, count = sums.around(own, self.place + at * self.along, self.along, sign, height)
                 if score >= FOLLOWED:
-                    height = found
-                elif count >= FEWEST - 1:
+                    height, unseen = found, 0.0
+                elif count >= FEWEST - 1 or unseen >= min(UNSEEN[0] * (self.high - self.low), UNSEEN[1]):
                     at -= way * stride
                     break
+                else:
+                    unseen += stride
             low, high = (at, high) if way < 0 else (low, at)
         return replace(self, low=low, high=high)
 
@@ -148,8 +153,13 @@ def _support(s: Segments, cell: float) -> F64:
     aside = away[..., 1] * along[:, None, 0] - away[..., 0] * along[:, None, 1]
     turned = along[:, None, 0] * along[None, :, 1] - along[:, None, 1] * along[None, :, 0]
     height = s.height.astype(np.float32)
-    near = (np.abs(aside) < BESIDE[0] + BESIDE[1] * cell) & (np.abs(turned) < ASTRAY) & (np.abs(ahead) < GAP)
-    near &= np.abs(height[None] - height[:, None]) < HIGHER[0] + HIGHER[1] * height
+    vague = (VAGUE * s.vague).astype(np.float32)
+    near = (
+        (np.abs(aside) < BESIDE[0] + BESIDE[1] * cell + ASIDE * vague)
+        & (np.abs(turned) < ASTRAY)
+        & (np.abs(ahead) < GAP)
+    )
+    near &= np.abs(height[None] - height[:, None]) < HIGHER[0] + HIGHER[1] * height + vague
     return np.asarray(near @ s.score)
 
 
