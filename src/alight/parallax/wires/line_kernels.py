@@ -83,10 +83,13 @@ def raise_lines(
     """Find the height at which the other views show each line best.
 
     A line at height `h` above the plane, which one view sees at a place of the plane, is seen by another view at
-    another place, parallel to it. Each view counts up to `cap`, so that no view decides alone.
+    another place, parallel to it. Each view counts up to `cap`, so that no view decides alone. The height is that at
+    which the sum is largest if each view counts up to the line's own sum instead: near a clear wire many heights reach
+    the cap.
 
     Args:
-        lines: (K, 5) east, north on the plane [m]; family: 0 nearly level, 1 nearly upright; slope number; sign.
+        lines: (K, 5) east, north on the plane [m]; family: 0 nearly level, 1 nearly upright; slope number; its own
+            sum in `own`.
         own: number of the view that shows the lines.
         heights: (T,) above the plane, metres, rising.
         centres: (V, 3) camera centres, metres above the plane.
@@ -101,7 +104,8 @@ def raise_lines(
             enough views the sum is 0, and the number is the largest of all heights.
     """
     for k in range(lines.shape[0]):
-        east, north, family, d, sign = lines[k, 0], lines[k, 1], int(lines[k, 2]), int(lines[k, 3]), lines[k, 4]
+        east, north, family, d = lines[k, 0], lines[k, 1], int(lines[k, 2]), int(lines[k, 3])
+        sign, clear, best = math.copysign(1.0, lines[k, 4]), max(abs(lines[k, 4]), cap), 0.0
         slope = slopes[d]
         across_e, across_n = (slope, 1.0) if family == 0 else (1.0, slope)
         length = math.hypot(across_e, across_n)
@@ -111,7 +115,7 @@ def raise_lines(
             share = 1.0 - h / centres[own, 2]
             at_e = centres[own, 0] + (east - centres[own, 0]) * share
             at_n = centres[own, 1] + (north - centres[own, 1]) * share
-            total, count = 0.0, 0
+            total, fit, count = 0.0, 0.0, 0
             for v in range(centres.shape[0]):
                 drop = centres[v, 2] - h
                 if v == own or drop < 1.0:
@@ -137,9 +141,12 @@ def raise_lines(
                     continue
                 if not (_is_known(known[v, family], block + REACH, at + down)):
                     continue
-                total += min(max(sign * sums[v, family, d, block, at], -cap), cap)
+                size = sign * sums[v, family, d, block, at]
+                total += min(max(size, -cap), cap)
+                fit += min(max(size, -clear), clear)
                 count += 1
-            if count >= fewest and total / math.sqrt(count) > out[k, 0]:
+            if count >= fewest and fit / math.sqrt(count) > best:
+                best = fit / math.sqrt(count)
                 out[k, 0], out[k, 1], out[k, 2] = total / math.sqrt(count), h, count
-            elif out[k, 0] == 0.0:
+            elif best == 0.0:
                 out[k, 2] = max(out[k, 2], count)

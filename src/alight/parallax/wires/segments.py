@@ -21,6 +21,7 @@ TALL = 16  # cells across, of which a view gives its strongest line only
 LEAST = 3.5  # noise of the sums, of a line in one view that is looked for in the others
 MOST = 150  # lines of a view
 STILL = 2.0  # cells: see `raise_lines`
+CLEAR = 12.0  # noise of the sums, of a line that is followed
 CAP = 3.0  # noise of the sums: see `raise_lines`
 FEWEST = 3  # other views that confirm a line
 STEP = 1.5  # cells by which a line moves in the farthest view from one height to the next
@@ -96,7 +97,7 @@ class LineSums:
     def segments(self, own: int, lowest: float, highest: float, least: float) -> Segments:
         """Return the lines of a view that other views confirm, from `lowest` to `highest` metres above the plane."""
         family, d, block, row = self._lines(own)
-        signs = np.sign(self.sums[own, family, d, block, row])
+        strength = self.sums[own, family, d, block, row]
         grid, slope = self.views[own].grid, SLOPES[d]
         level, middle = family == 0, BLOCK * block + 0.5 * (BLOCK - 1)
         rows, cols = np.where(level, row, middle), np.where(level, middle, row)
@@ -104,7 +105,7 @@ class LineSums:
         along = np.column_stack([np.where(level, 1.0, slope), np.where(level, -slope, -1.0)])
         lengths = np.hypot(1.0, slope)
         found = np.empty((len(d), 3))
-        lines = np.column_stack([shown, family, d, signs]).astype(np.float64)
+        lines = np.column_stack([shown, family, d, strength]).astype(np.float64)
         heights = self._heights(own, lowest, highest)
         if len(heights):
             raise_lines(
@@ -127,7 +128,7 @@ class LineSums:
         middle_m = self.views[own].above[:2] + (shown - self.views[own].above[:2]) * share[:, None]
         out = Segments(
             np.full(len(d), own), found[:, 0], found[:, 1], middle_m, along / lengths[:, None],
-            0.5 * LONG * grid.cell * lengths * share, shown, signs,
+            0.5 * LONG * grid.cell * lengths * share, shown, np.sign(strength),
             self._vague(own, along / lengths[:, None], found[:, 1]),
         )  # fmt: skip
         return out.of(found[:, 0] >= least)
@@ -158,7 +159,7 @@ class LineSums:
         beside = np.linspace(-1.5, 1.5, 4)[:, None] * cell * np.array([-along[1], along[0]])
         shown = above[:2] + (place + beside - above[:2]) * (above[2] / (above[2] - heights[3]))
         d = float(np.argmin(np.abs(SLOPES - slope)))
-        lines = np.column_stack([shown, np.tile([0.0 if level else 1.0, d, sign], (len(shown), 1))])
+        lines = np.column_stack([shown, np.tile([0.0 if level else 1.0, d, CLEAR * sign], (len(shown), 1))])
         found = np.empty((len(shown), 3))
         raise_lines(
             lines,
