@@ -19,6 +19,8 @@ ASTRAY = 0.16  # rad between them
 GAP = 8.0  # metres along the wire between its pieces
 HIGHER = 1.0, 0.05  # metres, and share of the height, between a piece and its wire
 VAGUE, ASIDE = 2.0, 0.2  # cells of which height and place of a piece are unsure; metres aside for a metre of height
+SLOPE = 0.06  # 1-sigma of the rise of a wire over its length
+LEAST_VAGUE = 0.2  # metres, of the height of a piece
 STEEPEST = 0.2  # rise of a wire over its length; steeper lines are posts and rims of crowns
 COVERS = 4.0  # cells beside its image in a view that a wire explains
 FOLLOWED = 2.5  # score up to which a wire is followed beyond its pieces
@@ -71,12 +73,17 @@ class Strand:
         out = replace(self, low=float((a - own.half).min()), high=float((a + own.half).max()), members=members)
         if len(a) < 3 or np.ptp(a) < 2.0:
             return out
-        lever = np.column_stack([np.ones_like(a), a]) * own.score[:, None]
-        (aside, turn), (height, slope) = (np.linalg.lstsq(lever, v * own.score, rcond=None)[0] for v in (b, own.height))
+        lever = np.column_stack([np.ones_like(a), a])
+        aside, turn = np.linalg.lstsq(lever * own.score[:, None], b * own.score, rcond=None)[0]
+        sigma = np.maximum(own.vague, LEAST_VAGUE) * np.sqrt(len(a))  # pieces of one wire are not independent
+        prior = np.append(0.0, 1 / SLOPE)
+        height, slope = np.linalg.lstsq(
+            np.vstack([lever / sigma[:, None], prior]), np.append(own.height / sigma, 0.0), rcond=None
+        )[0]
         along = self.along + turn * self.across
         return replace(
             out, place=self.place + aside * self.across, along=along / np.linalg.norm(along), height=float(height),
-            slope=float(np.clip(slope, -STEEPEST, STEEPEST)),
+            slope=float(slope),
         )  # fmt: skip
 
     def ends(self, beyond: float) -> F64:
