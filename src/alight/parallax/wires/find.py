@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,11 +17,10 @@ from alight.raster import nearest_known
 from alight.records import ElevationMap, Flag, View
 from alight.records.wires import Wire
 
-MOST_VIEWS = 8
+MOST_VIEWS = 16
 PIXELS = 2.6  # of the views across a cell, at least: thinner than that, wires are as clear and cost more
 LOWEST, HIGHEST = 2.5, 32.0  # metres above the ground, of what is looked for
-EVIDENCE = 6.5  # least evidence of a wire, see `Strand.evidence`
-VIEWS = 2  # least number of views that show a piece of it
+PIECES, EVIDENCE = 2.0, 17.5  # evidence of a strand, with so much for the logarithm of its pieces, of a wire
 
 
 def chosen_views(views: Sequence[View], most: int) -> list[View]:
@@ -51,8 +51,7 @@ def all_segments(sums: LineSums) -> Segments | None:
 
 
 def _is_wire(one: Strand, s: Segments, sums: LineSums) -> bool:
-    level = abs(one.slope) < STEEPEST
-    return level and len(np.unique(s.own[one.members])) >= VIEWS and one.evidence(s, sums) >= EVIDENCE
+    return abs(one.slope) < STEEPEST and one.evidence(s, sums) + PIECES * math.log(one.members.sum()) >= EVIDENCE
 
 
 def find_wires(views: Sequence[View], elevation: ElevationMap) -> tuple[Wire, ...]:
