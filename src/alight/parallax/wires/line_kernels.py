@@ -100,17 +100,17 @@ def raise_lines(
         still: shift in cells, across the line, up to which a view cannot tell the line from one on the ground.
         cap: largest count of a view.
         fewest: least number of other views.
-        out: (K, 3) sum over the root of the number of views, height [m], number of views; best of all heights. Without
-            enough views the sum is 0, and the number is the largest of all heights.
+        out: (K, 4) sum over the root of the number of views, height [m], number of views, and the other sum likewise;
+            at the best height. Without enough views the sums are 0, and the number is the largest of all heights.
     """
     for k in range(lines.shape[0]):
         east, north, family, d = lines[k, 0], lines[k, 1], int(lines[k, 2]), int(lines[k, 3])
-        sign, clear, best = math.copysign(1.0, lines[k, 4]), max(abs(lines[k, 4]), cap), 0.0
+        sign, clear = math.copysign(1.0, lines[k, 4]), max(abs(lines[k, 4]), cap)
         slope = slopes[d]
         across_e, across_n = (slope, 1.0) if family == 0 else (1.0, slope)
         length = math.hypot(across_e, across_n)
         across_e, across_n = across_e / length, across_n / length
-        out[k, 0], out[k, 1], out[k, 2] = 0.0, heights[0], 0.0
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = 0.0, heights[0], 0.0, 0.0
         for h in heights:
             share = 1.0 - h / centres[own, 2]
             at_e = centres[own, 0] + (east - centres[own, 0]) * share
@@ -145,8 +145,8 @@ def raise_lines(
                 total += min(max(size, -cap), cap)
                 fit += min(max(size, -clear), clear)
                 count += 1
-            if count >= fewest and fit / math.sqrt(count) > best:
-                best = fit / math.sqrt(count)
+            if count >= fewest and fit / math.sqrt(count) > out[k, 3]:
                 out[k, 0], out[k, 1], out[k, 2] = total / math.sqrt(count), h, count
-            elif best == 0.0:
+                out[k, 3] = fit / math.sqrt(count)
+            elif out[k, 3] == 0.0:
                 out[k, 2] = max(out[k, 2], count)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,7 +22,7 @@ TALL = 16  # cells across, of which a view gives its strongest line only
 LEAST = 3.5  # noise of the sums, of a line in one view that is looked for in the others
 MOST = 150  # lines of a view
 STILL = 2.0  # cells: see `raise_lines`
-CLEAR = 12.0  # noise of the sums, of a line that is followed
+CLEAR = 100.0  # noise of the sums, of a line that is followed
 CAP = 3.0  # noise of the sums: see `raise_lines`
 FEWEST = 3  # other views that confirm a line
 STEP = 1.5  # cells by which a line moves in the farthest view from one height to the next
@@ -50,6 +51,15 @@ class Segments:
     def joined(cls, parts: Sequence[Segments]) -> Segments:
         """Return all pieces of all parts."""
         return cls(**{k: np.concatenate([getattr(p, k) for p in parts]) for k in vars(parts[0])})
+
+
+class Nearby(NamedTuple):
+    """The best line near a given one."""
+
+    score: float
+    height: float  # metres above the plane
+    count: int  # number of views
+    strength: float  # as the score, but of views that count in full
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +114,7 @@ class LineSums:
         shown = np.column_stack([grid.east + cols * grid.cell, grid.north - rows * grid.cell])
         along = np.column_stack([np.where(level, 1.0, slope), np.where(level, -slope, -1.0)])
         lengths = np.hypot(1.0, slope)
-        found = np.empty((len(d), 3))
+        found = np.empty((len(d), 4))
         lines = np.column_stack([shown, family, d, strength]).astype(np.float64)
         heights = self._heights(own, lowest, highest)
         if len(heights):
@@ -142,8 +152,8 @@ class LineSums:
         up, widest = self._centres[own, 2], np.abs(base).max(axis=0)
         return np.asarray(self.views[own].grid.cell * (up - height) ** 2 / np.maximum(widest * up, 1e-3))
 
-    def around(self, own: int, place: F64, along: F64, sign: float, height: float) -> tuple[float, float, int]:
-        """Return score, height [m] and number of views of the best line near one line in the air.
+    def around(self, own: int, place: F64, along: F64, sign: float, height: float) -> Nearby:
+        """Return the best line near one line in the air.
 
         Args:
             own: number of a view that shows it.
@@ -160,7 +170,7 @@ class LineSums:
         shown = above[:2] + (place + beside - above[:2]) * (above[2] / (above[2] - heights[3]))
         d = float(np.argmin(np.abs(SLOPES - slope)))
         lines = np.column_stack([shown, np.tile([0.0 if level else 1.0, d, CLEAR * sign], (len(shown), 1))])
-        found = np.empty((len(shown), 3))
+        found = np.empty((len(shown), 4))
         raise_lines(
             lines,
             own,
@@ -175,8 +185,8 @@ class LineSums:
             FEWEST - 1,
             found,
         )
-        score, at, count = found[int(np.argmax(found[:, 0]))]
-        return float(score), float(at), int(count)
+        score, at, count, strength = found[int(np.argmax(found[:, 3]))].tolist()
+        return Nearby(score, at, int(count), strength)
 
     def _lines(self, own: int) -> tuple[I64, I64, I64, I64]:
         """Return family, slope number, block and row of the strongest lines of a view, (N,) each."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from alight.arrays import F64, I64, Mask
 from alight.parallax.wires.residuals import PlaneView
-from alight.parallax.wires.segments import FEWEST, LONG, LineSums, Segments
+from alight.parallax.wires.segments import FEWEST, LONG, LineSums, Nearby, Segments
 
 SURE = 5.0  # score of the best piece of a wire
 LIKELY = 3.5  # score of its other pieces
@@ -95,41 +95,45 @@ class Strand:
         """Return 1 if most pieces are brighter than the ground, else -1."""
         return float(np.sign(s.sign[self.members].sum()) or 1.0)
 
-    def evidence(self, s: Segments, sums: LineSums) -> float:
-        """Return the sum of the scores along the strand over the root of their number: noise of one score.
-
-        The places are a piece apart, so that their noise is independent. One lucky piece of ground makes no wire.
-        """
+    def shown(self, s: Segments, sums: LineSums) -> list[Nearby]:
+        """Return what the views show along the strand, a piece apart, so that the noise is independent."""
         own, apart = _most_common(s.own[self.members]), 1.6 * float(np.median(s.half[self.members]))
         count = max(int((self.high - self.low) / apart), 1)
         at = 0.5 * (self.low + self.high) + apart * (np.arange(count) - 0.5 * (count - 1))
-        scores = [
-            sums.around(own, self.place + a * self.along, self.along, self._sign(s), self.height + self.slope * a)[0]
+        return [
+            sums.around(own, self.place + a * self.along, self.along, self._sign(s), self.height + self.slope * a)
             for a in at.tolist()
         ]
-        return float(np.sum(scores) / np.sqrt(count))
+
+    def evidence(self, s: Segments, sums: LineSums) -> float:
+        """Return the sum of the scores along the strand over the root of their number: noise of one score.
+
+        One lucky piece of ground makes no wire.
+        """
+        scores = [n.score for n in self.shown(s, sums)]
+        return float(np.sum(scores) / np.sqrt(len(scores)))
 
     def followed(self, s: Segments, sums: LineSums) -> Strand:
-        """Return the strand continued to where views show that it ends, over what too few views show."""
+        """Return the strand from end to end: to where it is half as strong, over what too few views show."""
         own, sign = _most_common(s.own[self.members]), self._sign(s)
         stride = STRIDE * LONG * sums.views[0].grid.cell
-        low, high = self.low, self.high
-        for way in (-1.0, 1.0):
-            at = low if way < 0 else high
+        least = max(0.5 * float(np.median([n.strength for n in self.shown(s, sums)])), FOLLOWED)
+        middles = self._at(s.place[self.members])[0]
+        ends = []
+        for way, at in ((-1.0, float(np.quantile(middles, 0.1))), (1.0, float(np.quantile(middles, 0.9)))):
             height, gone, unseen = self.height + self.slope * at, 0.0, 0.0
             while gone < FARTHEST:
-                at += way * stride
-                gone += stride
-                score, found, count = sums.around(own, self.place + at * self.along, self.along, sign, height)
-                if score >= FOLLOWED:
-                    height, unseen = found, 0.0
-                elif count >= FEWEST - 1 or unseen >= min(UNSEEN[0] * (self.high - self.low), UNSEEN[1]):
-                    at -= way * stride
+                n = sums.around(own, self.place + (at + way * stride) * self.along, self.along, sign, height)
+                if n.strength >= least:
+                    height, unseen = n.height, 0.0
+                elif n.count >= FEWEST - 1 or unseen >= min(UNSEEN[0] * (self.high - self.low), UNSEEN[1]):
                     break
                 else:
                     unseen += stride
-            low, high = (at, high) if way < 0 else (low, at)
-        return replace(self, low=low, high=high)
+                at += way * stride
+                gone += stride
+            ends.append(at)
+        return replace(self, low=ends[0], high=ends[1])
 
     def explains(self, s: Segments, views: Sequence[PlaneView]) -> Mask:
         """Return the mask of the pieces (K,) that lie on or across its image in their own views."""
