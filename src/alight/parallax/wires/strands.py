@@ -23,6 +23,8 @@ SLOPE = 0.06  # 1-sigma of the rise of a wire over its length
 LEAST_VAGUE = 0.2  # metres, of the height of a piece
 STEEPEST = 0.2  # rise of a wire over its length; steeper lines are posts and rims of crowns
 COVERS = 4.0  # cells beside its image in a view that a wire explains
+RIM = 0.02  # share of the pieces that may lie beyond where following a strand begins
+FADED = 0.3  # of its usual strength, that shows the end of a wire
 FOLLOWED = 2.5  # score up to which a wire is followed beyond its pieces
 STRIDE = 0.25  # of the length of a piece, from one place to the next when it is followed
 FARTHEST = 30.0  # metres that it is followed
@@ -117,10 +119,10 @@ class Strand:
         """Return the strand from end to end: to where it is half as strong, over what too few views show."""
         own, sign = _most_common(s.own[self.members]), self._sign(s)
         stride = STRIDE * LONG * sums.views[0].grid.cell
-        least = max(0.5 * float(np.median([n.strength for n in self.shown(s, sums)])), FOLLOWED)
+        least = max(FADED * float(np.median([n.strength for n in self.shown(s, sums)])), FOLLOWED)
         middles = self._at(s.place[self.members])[0]
         ends = []
-        for way, at in ((-1.0, float(np.quantile(middles, 0.1))), (1.0, float(np.quantile(middles, 0.9)))):
+        for way, at in ((-1.0, float(np.quantile(middles, RIM))), (1.0, float(np.quantile(middles, 1 - RIM)))):
             height, gone, unseen = self.height + self.slope * at, 0.0, 0.0
             while gone < FARTHEST:
                 n = sums.around(own, self.place + (at + way * stride) * self.along, self.along, sign, height)
