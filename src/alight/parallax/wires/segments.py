@@ -26,7 +26,6 @@ CLEAR = 100.0  # noise of the sums, of a line that is followed
 CAP = 3.0  # noise of the sums: see `raise_lines`
 FEWEST = 3  # other views that confirm a line
 STEP = 1.5  # cells by which a line moves in the farthest view from one height to the next
-MOST_HEIGHTS = 150
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,11 +162,12 @@ class LineSums:
             height: metres above the plane.
         """
         above, cell = self.views[own].above, self.views[own].grid.cell
-        heights = np.clip(height + np.linspace(-1.0, 1.0, 7), 0.5, above[2] - 1.5)
+        vague = min(float(self._vague(own, along[None], np.array([height]))[0]), 0.3)
+        heights = np.clip(height + vague * np.linspace(-3.0, 3.0, 7), 0.5, above[2] - 1.5)
         level = abs(along[0]) >= abs(along[1])
         slope = -along[1] / along[0] if level else -along[0] / along[1]
-        beside = np.linspace(-1.5, 1.5, 4)[:, None] * cell * np.array([-along[1], along[0]])
-        shown = above[:2] + (place + beside - above[:2]) * (above[2] / (above[2] - heights[3]))
+        beside = np.linspace(-3.0, 3.0, 5)[:, None] * cell * np.array([-along[1], along[0]])
+        shown = above[:2] + (place - above[:2]) * (above[2] / (above[2] - heights[3])) + beside
         d = float(np.argmin(np.abs(SLOPES - slope)))
         lines = np.column_stack([shown, np.tile([0.0 if level else 1.0, d, CLEAR * sign], (len(shown), 1))])
         found = np.empty((len(shown), 4))
@@ -201,16 +201,22 @@ class LineSums:
     def _heights(self, own: int, lowest: float, highest: float) -> F64:
         """Return the heights (T,), metres above the plane, at which lines are looked for.
 
-        By their number, a line moves by `STEP` cells in the farthest view; it moves with `h / (H - h)`.
+        From one to the next a line moves by `STEP` cells in the farthest view that shows it. With the camera at `H`, it
+        moves by `b m` with `m = h / (H - h)`. Of pictures `W` wide on the plane, those within `b = W / (1 + m)` show a
+        wire at `h`. So there is a step for every cell of the widest baseline, at first, and of the picture for every
+        factor of `1 + m`, later.
         """
-        up = self._centres[own, 2]
+        up, grid = self._centres[own, 2], self.views[own].grid
         highest = min(highest, up - 1.5)
         base = float(np.hypot(*(self._centres - self._centres[own]).T[:2]).max())
         if highest <= lowest or base <= 0:
             return np.zeros(0)
-        low, high = lowest / (up - lowest), highest / (up - highest)
-        step = STEP * self.views[own].grid.cell / base
-        moves = np.linspace(low, high, int(np.clip(math.ceil((high - low) / step), 1, MOST_HEIGHTS)) + 1)
+        low, high, step = lowest / (up - lowest), highest / (up - highest), STEP * grid.cell
+        wide = grid.cell * max(grid.shape)
+        turn = float(np.clip(wide / base - 1.0, low, high))
+        first = np.arange(low, turn, step / base)
+        later = (1.0 + turn) * np.exp(np.arange(0.0, math.log((1.0 + high) / (1.0 + turn)) + 1e-9, step / wide)) - 1.0
+        moves = np.concatenate([first, later])
         return np.asarray(up * moves / (1.0 + moves))
 
 
