@@ -32,7 +32,7 @@ from alight.records import Hazard, HazardMap, Site
 from alight.settings import Settings
 from alight.sources.appearance import read_model
 
-FOREIGN = ("sample", "rendered/gravelpit", "rendered/scree", "rendered/shore")
+FOREIGN = ("sample", *(f"rendered/{name}" for name in ("gravelpit", "scree", "shore", "marsh", "car_park")))
 SETS = {"foreign": FOREIGN, "fresh": FRESH, "tuning": TUNING}
 LEVELS = (0.95, 0.99)
 BINS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0 + 1e-9)

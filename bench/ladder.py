@@ -18,6 +18,7 @@ import numpy as np
 
 from alight.records import Frame, InputError, View
 from alight_sim.flight import SimulatedFlight, fly
+from alight_sim.groups import GROUPS
 from alight_sim.patterns import FlightPlan, Pattern
 from alight_sim.scene import Scene, built_in, read_scene
 from alight_sim.scene_world import SceneWorld, build
@@ -35,7 +36,7 @@ SCENES = (
     "desert", "snow", "concrete", "car_park", "tall_grass", "yard",
 )  # fmt: skip
 # flown by name as well: families of scenes, whose colours, light, density and layout another seed changes
-FAMILIES = ("gravel", "pasture", "canal", "marsh", "furrows", "depot")
+FAMILIES = tuple(name for names in GROUPS.values() for name in names if name not in SCENES)
 FIRST_SEED = {"tuning": 1, "test": 1001}
 MOST_SEEDS = 1000
 GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))  # degrees: courses spread evenly however many seeds there are

@@ -1,4 +1,4 @@
-"""Pictures of the built-in scenes, for the documentation (docs/scenes) and for `alight simulate --list`.
+"""Pictures of the built-in scenes, for the documentation where it shows them, and for `alight simulate --list`.
 
 python bench/scene_pictures.py          # all; or the names of some
 """
@@ -42,10 +42,13 @@ def save(image: U8, path: Path, quality: int = 88) -> None:
 
 def main() -> None:
     """Draw every scene at every height."""
+    shown = (DOCS.parent / "simulator.md").read_text(encoding="utf-8")
     for name in sys.argv[1:] or built_in():
         for height in HEIGHTS:
             image = picture(name, height)
-            save(image, DOCS / f"{name}-{height}m.jpg")
+            path = DOCS / f"{name}-{height}m.jpg"
+            if f"scenes/{path.name}" in shown:
+                save(image, path)
         small = cv2.resize(image, SMALL, interpolation=cv2.INTER_AREA)
         save(np.asarray(small), FOLDER / "pictures" / f"{name}.jpg", SMALL_QUALITY)
 

@@ -24,6 +24,7 @@ class FractalRelief(Section):
     shortest: float = Field(4.0, ge=0.01, description="metres, shortest wavelength")
     fall: float = Field(1.5, ge=0.0, le=4.0, description="amplitude goes with wavelength to this power: 0 is jagged")
     form: Literal["hills", "ridges", "dunes"] = Field("hills", description="hills | ridges (creased) | dunes (long)")
+    turn_deg: float = Field(0.0, description="of the pattern, counter-clockwise; the crests of dunes run north at 0")
 
     def octaves(self) -> tuple[F64, F64]:
         """Return the wavelengths and standard deviations of the octaves, longest first, metres."""
@@ -31,6 +32,9 @@ class FractalRelief(Section):
 
     def add(self, x: F64, y: F64, seed: int, out: F64) -> None:
         """Add this relief at positions (R, C) to the heights `out` (R, C)."""
+        if self.turn_deg != 0.0:
+            c, s = math.cos(math.radians(self.turn_deg)), math.sin(math.radians(self.turn_deg))
+            x, y = c * x + s * y, c * y - s * x
         if self.height > 0.0:
             _add(x, y, self.octaves(), FORMS[self.form], seed, out)
 

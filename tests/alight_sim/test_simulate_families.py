@@ -11,6 +11,7 @@ import pytest
 from length import first
 
 from alight.records import InputError, Terrain
+from alight_sim.groups import GROUPS, group_of
 from alight_sim.kernels.stamps import EAST, EXTRA, HALF_U, HALF_V, NORTH
 from alight_sim.looks import Look
 from alight_sim.scene import built_in, parse_scene, read_scene
@@ -103,6 +104,16 @@ def test_a_family_that_is_written_down_makes_the_same_ground_again() -> None:
     box = (-6.0, -6.0, 6.0, 6.0)
     assert np.array_equal(world.truth(box).height, again.truth(box).height)
     assert np.array_equal(world.truth(box).label, again.truth(box).label)
+
+
+def test_every_family_is_in_one_of_ten_groups_of_three_or_more() -> None:
+    grouped = [name for names in GROUPS.values() for name in names]
+    assert sorted([*grouped, "demo", "hopeless"]) == list(built_in())
+    assert len(GROUPS) == 10
+    assert min(len(names) for names in GROUPS.values()) >= 3
+    assert (group_of("bog"), group_of("yard")) == ("water", "ruin")
+    with pytest.raises(KeyError):
+        group_of("demo")
 
 
 # -- stones
@@ -202,6 +213,88 @@ def test_stones_keep_off_a_cleared_track() -> None:
 def test_stones_that_cannot_be_are_refused(keys: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         flat({"thing": "stones", **keys})
+
+
+# -- bars, sheets, raised patches, painted lines
+
+
+def test_a_bundle_has_its_bars_side_by_side_and_a_stack_is_as_high_as_its_rows() -> None:
+    bars = {"thing": "bars", "at": [[0, 0]], "length": 4, "turn_deg": 0}
+    bundle = flat({**bars, "thickness": 0.02, "gap": 0.5, "count": 5}).truth()
+    column = (bundle.label == Terrain.STRUCTURE)[:, 200]
+    assert (np.diff(column.astype(int)) == 1).sum() == 5
+    assert bundle.height[bundle.label == Terrain.STRUCTURE].max() <= 0.02
+    stack = flat({**bars, "thickness": 0.4, "count": 4, "rows": 3}).truth()
+    assert stack.height.max() == pytest.approx(0.4 * (1 + 2 * 0.87), rel=0.01)
+    assert (stack.label == Terrain.STRUCTURE).sum() * 0.05**2 == pytest.approx(4 * 1.6, rel=0.15)
+
+
+def test_bars_on_end_stand_apart_as_high_as_they_are_long() -> None:
+    truth = flat({"thing": "bars", "at": [[0, 0]], "upright": True, "length": 0.7, "gap": 1, "count": 3}).truth()
+    steel = truth.label == Terrain.STRUCTURE
+    assert 3 <= steel.sum() <= 27
+    assert 0.35 <= truth.height[steel].max() <= 0.7
+    assert not truth.safe()[steel].any()
+
+
+def test_a_sheet_lies_over_the_ground_and_over_low_things() -> None:
+    pallet = {"thing": "crates", "at": [[0, 0]], "size": 1, "height": 0.15}
+    sheet = {"thing": "tarpaulins", "at": [[0, 0]], "size": 4, "folds": 0.03}
+    truth = flat(pallet, sheet).truth()
+    covered = truth.label == Terrain.STRUCTURE
+    assert covered.sum() * 0.05**2 == pytest.approx(16, rel=0.1)
+    assert truth.height[covered].min() > 0.005
+    assert truth.height.max() == pytest.approx(0.17, abs=0.03)
+
+
+@pytest.mark.parametrize("veins", [False, True])
+@pytest.mark.parametrize("up", [0.3, -0.4])
+def test_raised_patches_cover_their_share_and_have_flanks(veins: bool, up: float) -> None:
+    patches = {"thing": "patches", "share": 0.2, "size": 4, "up": up, "flank": 0.3, "veins": veins}
+    truth = flat(patches, size=80.0, cell=0.1).truth()
+    there = truth.label == Terrain.BARE
+    assert there.mean() == pytest.approx(0.2, abs=0.05)
+    assert (truth.height[~there] == 0.0).all()
+    high = truth.height[there] / up
+    assert 0.0 <= high.min() < 0.2
+    assert (high > 0.99).mean() > 0.3
+    assert high.max() == pytest.approx(1.0)
+
+
+def test_a_raised_patch_is_an_island_in_water() -> None:
+    patches = {"thing": "patches", "share": 0.3, "size": 4, "up": 0.2, "upon": ["water"]}
+    world = flat({"thing": "water", "level": 1}, patches, cell=0.1)
+    patch = world.patch(world.extent)
+    assert ((patch.light[..., 4] > 0) == (patch.label == Terrain.WATER)).all()
+    assert patch.height[patch.label == Terrain.BARE].min() >= 1.0
+
+
+def test_a_line_is_moved_and_turned_as_a_whole() -> None:
+    wall = {"thing": "wall", "height": 1, "look": "white"}
+    moved = flat({**wall, "path": [[-2, 1], [3, 1]], "at": [4, 2], "turn_deg": 90}).truth()
+    plain = flat({**wall, "path": [[3, 0], [3, 5]]}).truth()
+    assert np.allclose(moved.height, plain.height, atol=1e-6)
+
+
+def test_ruts_hold_water_for_their_share_and_lanes_are_painted() -> None:
+    road = {"thing": "road", "path": [[-90, 0], [90, 0]], "width": 3, "ruts": 0.12, "ragged": 0, "flooded": 0.4}
+    truth = flat(road, size=160.0, cell=0.1).truth()
+    wet = truth.label == Terrain.WATER
+    assert wet.any(axis=0).mean() == pytest.approx(0.4, abs=0.2)
+    assert truth.height[wet].max() < 0.0
+    track = flat({"thing": "road", "path": [[-90, 0.02], [90, 0.02]], "width": 6.1, "marks": "lanes", "look": "plain"})
+    patch = track.patch((-1, -3, 1, 3))
+    assert patch.tint is not None
+    white = (patch.tint[:, 20, 0] > 2.0).astype(int)
+    assert (np.diff(white) == 1).sum() in (5, 6)
+
+
+def test_dunes_lie_as_they_are_turned() -> None:
+    dunes = {"height": 1, "longest": 6, "shortest": 6, "form": "dunes"}
+    plain, turned = (flat(relief=[{**dunes, "turn_deg": k}], cell=0.1).truth().height for k in (0, 90))
+    for height, steep in ((plain, 1), (turned, 0)):
+        slopes = [np.abs(np.diff(height, axis=axis)).mean() for axis in (0, 1)]
+        assert slopes[steep] > 2.0 * slopes[1 - steep]
 
 
 # -- water that looks like ground, wires, posts

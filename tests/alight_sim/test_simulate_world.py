@@ -367,7 +367,7 @@ def test_built_in_scenes_are_sound(name):
     spec = read_scene(built_in()[name])
     assert spec.name == name
     assert 20 < len(spec.description) <= 100
-    truth = build(spec, 1).truth((0.5, 0.5, 20.0, 20.0))
+    truth = build(spec, 1).truth((0.5, 0.5, 12.5, 12.5))
     assert np.isfinite(truth.height).all()
     safe = truth.safe(spec.lander.footprint).mean()
     assert safe == 0.0 if name in ("hopeless", "tall_grass") else safe < 0.95

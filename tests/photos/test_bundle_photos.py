@@ -157,6 +157,18 @@ def test_photos_without_gps_give_a_reason(survey: tuple[list[Frame], list[NavSam
     assert "fewer than two photos have a GPS position" in result.warnings[0]
 
 
+def test_one_line_without_attitudes_gives_a_reason(survey: tuple[list[Frame], list[NavSample], F64, F64]) -> None:
+    """Nothing then tells how far the line is rolled about itself."""
+    frames, nav = survey[0][:4], survey[1][:4]
+    line = [
+        NavSample(n.t_ns, np.array([12.0 * k, 0.0, 40.0]), None, sigma_position=np.full(3, 30.0))
+        for k, n in enumerate(nav)
+    ]
+    result = adjust(frames, line, rig(), SETTINGS)
+    assert result.motions == ()
+    assert "one line and have no attitude" in result.warnings[0]
+
+
 def test_frames_and_samples_must_pair() -> None:
     pytest.importorskip("pycolmap")
     with pytest.raises(InputError, match="1 frames and 0 navigation samples"):

@@ -175,8 +175,8 @@ def _print_scenes() -> None:
         if colour and picture.exists():
             console.print(scene_card(name, scene.description, picture))
         else:
-            print_line(f"{name:<12} {scene.description}")
-            print_line(f"{'':<12} {picture if picture.exists() else path}")
+            print_line(f"{name:<14} {scene.description}")
+            print_line(f"{'':<14} {picture if picture.exists() else path}")
 
 
 @dataclass(kw_only=True)

@@ -10,6 +10,7 @@ from alight_sim.things.base import Layer, Scattered, Sheet
 from alight_sim.things.built import Cars, Crates, Houses, Parking
 from alight_sim.things.cover import Fields, Patches, TallGrass
 from alight_sim.things.ground import Craters, Pads, Ponds, Roughness, Terraces, Water
+from alight_sim.things.laid import Bars, Tarpaulins
 from alight_sim.things.lines import Hedges, Roads, Walls
 from alight_sim.things.standing import Logs, Mounds, Rocks, Shrubs, Trees
 from alight_sim.things.stones import Stones
@@ -44,7 +45,9 @@ Thing = Annotated[
     | PowerLine
     | WashingLine
     | GuyedMast
-    | Branches,
+    | Branches
+    | Bars
+    | Tarpaulins,
     Field(discriminator="thing"),
 ]
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.special import ndtr, ndtri
 
 from alight.arrays import F64, Mask
 from alight.records import Terrain
@@ -57,15 +58,33 @@ class Outline(Layer):
 
 
 class Patches(Outline):
-    """Patches of another class or look: open earth, wet patches, gravel, snow."""
+    """Patches of another class, look or height: open earth, snow that is left, hummocks, bunkers, clefts."""
 
     thing: Literal["patches"]
     kind: CoverName | None = Field("bare", description="class; null: that of the ground, only the look changes")
+    up: float = Field(0.0, ge=-10.0, le=10.0, description="metres above the ground around; negative: below it")
+    flank: float = Field(0.3, gt=0.0, le=4.0, description="width of their slopes, in deviations of the outline")
+    finest: float = Field(0.2, ge=0.05, le=100.0, description="metres, the shortest waves of the outline")
+    veins: bool = Field(False, description="the seams between patches instead: clefts, cracks, ridges of ice")
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """Depth or height of the patches."""
+        return max(-self.up, 0.0), max(self.up, 0.0)
+
+    def field(self, sheet: Sheet, lay: Lay) -> F64:
+        """(R, C) noise of unit deviation; of veins it is largest where the noise of patches crosses zero."""
+        field = noise(sheet.x, sheet.y, lay.seed, self.size, min(self.finest, self.size), 0.8)
+        return np.asarray(ndtri(2.0 * ndtr(-np.abs(field))) if self.veins else field)
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Change class and look in the patches."""
-        mask = self.excess(sheet, lay) > 0.0
-        sheet.paint(..., mask, terrain_named(self.kind) if self.kind is not None else None, self.look, self.tint)
+        """Change class, look and height in the patches."""
+        excess = self.excess(sheet, lay)
+        if self.up != 0.0:
+            sheet.ground += self.up * ramp(0.0, self.flank, excess)
+            sheet.depth[excess > 0.0] = 0.0
+        kind = terrain_named(self.kind) if self.kind is not None else None
+        sheet.paint(..., excess > 0.0, kind, self.look, self.tint)
 
 
 class TallGrass(Outline):

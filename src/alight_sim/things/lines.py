@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -13,6 +15,7 @@ from alight_sim.kernels.layers import along_line
 from alight_sim.looks import Look
 from alight_sim.materials import tables
 from alight_sim.relief import noise
+from alight_sim.section import Coordinate
 from alight_sim.things.base import (
     UNTINTED,
     CoverName,
@@ -21,6 +24,7 @@ from alight_sim.things.base import (
     Places,
     Sheet,
     Tint,
+    along_and_across,
     covered,
     ramp,
     terrain_named,
@@ -33,6 +37,7 @@ LONGEST = 200_000.0  # metres of a path
 PIECE = 2.0  # metres between the points at which a road follows the ground's height
 SMOOTH = 5  # pieces on either side over which a road smooths the ground
 WHITE = 3.2  # brightness of paint over asphalt
+LANE = 1.22  # metres, width of a runner's lane
 WIRE = 0.9  # reflectance of ground under a wire, over the ground beside it
 
 
@@ -47,9 +52,8 @@ def _line(value: Places) -> Places:
 Line = Annotated[Places, AfterValidator(_line)]
 
 
-def pieces(path: Places, length: float) -> F64:
-    """Return the path cut into pieces of about `length` metres: (N, 4) east, north, distance along, height 0."""
-    corners = np.array(path)
+def pieces(corners: F64, length: float) -> F64:
+    """Return a path (N, 2) cut into pieces of about `length` metres: (M, 4) east, north, distance along, height 0."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
     cuts = np.linspace(0.0, along[-1], max(2, round(along[-1] / length) + 1))
     s = np.union1d(along, cuts)
@@ -72,7 +76,17 @@ def winding(line: F64, wander: float, seed: int) -> F64:
 class Lined(Layer):
     """Things that follow a path."""
 
-    path: Line = Field(description="[[east, north], ...] metres from the origin")
+    path: Line = Field(description="[[east, north], ...] metres from the origin, or from `at`")
+    at: tuple[Coordinate, Coordinate] = Field(
+        (0.0, 0.0), description="[east, north] metres: the path counts from there"
+    )
+    turn_deg: float = Field(0.0, description="of the path about `at`, counter-clockwise")
+
+    @property
+    def placed(self) -> F64:
+        """(N, 2) east and north of the path's corners, metres from the origin."""
+        u, v = np.array(self.path).T
+        return np.column_stack(along_and_across(u, v, -math.radians(self.turn_deg))) + self.at
 
     def reach(self) -> float:
         """Return the distance from the path within which the ground changes, metres."""
@@ -80,7 +94,7 @@ class Lined(Layer):
 
     def line(self, lay: Lay) -> F64:
         """Return the vertices, (N, 4): east, north, metres along, height."""
-        return pieces(self.path, 1e9)
+        return pieces(self.placed, 1e9)
 
     def ways(self, sheet: Sheet, lay: Lay) -> F64 | None:
         """Return distance from the line, distance along it, its height, (R, C, 3); None: the sheet is out of reach."""
@@ -110,8 +124,11 @@ class Roads(Lined):
     bank: float = Field(2.0, ge=0.0, le=30.0, description="metres over which it blends into the ground")
     kerb: float = Field(0.0, ge=-0.5, le=1.0, description="metres that the surface is above the ground beside it")
     ragged: float = Field(0.02, ge=0.0, le=0.5, description="wandering of its edges over the width")
-    marks: Literal["none", "dashed", "edges"] = Field("none", description="none | dashed | edges (with a dashed line)")
+    marks: Literal["none", "dashed", "edges", "lanes"] = Field(
+        "none", description="none | dashed | edges (with a dashed line) | lanes (of runners)"
+    )
     ruts: float = Field(0.0, ge=0.0, le=0.5, description="metres, depth of two wheel tracks")
+    flooded: float = Field(0.0, ge=0.0, le=1.0, description="share of the wheel tracks that stands under water")
     grass_between: bool = Field(False, description="grass between the wheel tracks")
 
     @property
@@ -124,7 +141,7 @@ class Roads(Lined):
 
     def line(self, lay: Lay) -> F64:
         """Return the (N, 4) vertices with the ground's heights, smoothed along the path."""
-        line = pieces(self.path, PIECE)
+        line = pieces(self.placed, PIECE)
         heights = lay.before(line[:, :1], line[:, 1:2]).ground[:, 0]
         padded = np.pad(heights, SMOOTH, mode="edge")
         line[:, 3] = np.convolve(padded, np.full(2 * SMOOTH + 1, 1.0 / (2 * SMOOTH + 1)), "valid")
@@ -155,6 +172,9 @@ class Roads(Lined):
     def _marks(self, sheet: Sheet, inside: Mask, aside: F64, along: F64) -> None:
         if self.marks == "none":
             return
+        if self.marks == "lanes":
+            sheet.tint[inside & (np.abs(aside / LANE - np.round(aside / LANE)) * LANE < 0.03)] *= WHITE
+            return
         white = (np.abs(aside) < 0.07) & (along % 9.0 < 3.0)
         if self.marks == "edges":
             white |= np.abs(np.abs(aside) - 0.5 * self.width + 0.25) < 0.07
@@ -165,6 +185,12 @@ class Roads(Lined):
         groove = np.maximum(1.0 - ((away - gauge) / 0.28) ** 2, 0.0)
         depth = self.ruts * (0.8 + 0.3 * noise(sheet.x, sheet.y, lay.seed + 6, 4.0, 0.5))
         sheet.ground -= np.where(inside, depth * groove, 0.0)
+        if self.flooded > 0.0:
+            low = NormalDist().inv_cdf(min(max(self.flooded, 1e-6), 1.0 - 1e-6))
+            wet = inside & (groove > 0.35) & (noise(sheet.x, sheet.y, lay.seed + 7, 9.0, 1.5) < low)
+            sheet.ground += np.where(wet, depth * (groove - 0.35), 0.0)
+            sheet.depth[wet] = np.maximum(depth * (groove - 0.35), 0.01)[wet]
+            sheet.paint(..., wet, Terrain.WATER, Look.STILL_WATER)
         if self.grass_between:
             green = inside & (away < gauge - 0.25)
             sheet.paint(..., green, Terrain.SHORT_GRASS)
@@ -196,7 +222,7 @@ class Walls(Lined):
         """Return the (N, 4) vertices of the path, or of the line that winds about it."""
         if self.wander == 0.0:
             return super().line(lay)
-        return winding(pieces(self.path, self.wander), self.wander, lay.seed)
+        return winding(pieces(self.placed, self.wander), self.wander, lay.seed)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         ways = self.ways(sheet, lay)

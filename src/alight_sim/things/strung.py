@@ -101,7 +101,7 @@ class PowerLine(Lined, Strung):
 
     def feet(self, lay: Lay) -> F64:
         """(N, 3) feet of the posts: at the corners of the path, and evenly between them."""
-        corners = np.array(self.path)
+        corners = self.placed
         legs = [
             a + np.linspace(0.0, 1.0, max(1, round(math.dist(a, b) / self.posts)) + 1)[:-1, None] * (b - a)
             for a, b in pairwise(corners)

@@ -59,7 +59,7 @@ class Canals(Lined):
 
     def line(self, lay: Lay) -> F64:
         """Return the (N, 4) vertices at the water's height: `below` the lowest ground near by, smoothed."""
-        line = pieces(self.path, PIECE)
+        line = pieces(self.placed, PIECE)
         if self.wander > 0.0:
             line = winding(line, self.wander, lay.seed)
         ground = lay.before(line[:, :1], line[:, 1:2]).ground[:, 0]

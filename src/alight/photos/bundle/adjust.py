@@ -84,7 +84,7 @@ def adjust(
     wrong = () if solved is None else solved.first.contradicted
     attitude = any(n is not None and n.world_from_body is not None for k, n in enumerate(nav) if k not in wrong)
     if solved is None or not len(solved.registered):
-        return Trajectory((), rig, (why_no_motion(features, tagged),), {"registered": 0}, attitude=attitude)
+        return Trajectory((), rig, (why_no_motion(features, tagged, solved),), {"registered": 0}, attitude=attitude)
     priors = replace(levelled(tagged) if solved.first.climbs else tagged, velocity=solved.priors.velocity)
     if above is None or solved.first.climbs:
         above = np.full(len(frames), np.nan)

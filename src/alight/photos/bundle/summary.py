@@ -66,16 +66,19 @@ class Survey:
         return "no texture" if few else "too few matches with other photos"
 
 
-def why_no_motion(features: Sequence[PhotoFeatures], priors: Priors) -> str:
-    """Return the reason why no photo was registered."""
+def why_no_motion(features: Sequence[PhotoFeatures], priors: Priors, solved: Solved | None) -> str:
+    """Return the reason why no photo was registered; `solved` is None if no two photos are connected."""
     if np.isfinite(priors.centres).all(axis=1).sum() < 2:
-        return "no photo could be registered: fewer than two photos have a GPS position"
-    most = max((len(f.pixels) for f in features), default=0)
-    why = (
-        "the photos have no texture"
-        if most < LEAST_OBSERVED
-        else "the photos do not overlap, or show nothing that stands still"
-    )
+        why = "fewer than two photos have a GPS position"
+    elif max((len(f.pixels) for f in features), default=0) < LEAST_OBSERVED:
+        why = "the photos have no texture"
+    elif solved is None or (np.bincount(solved.observations.photo, minlength=1) < LEAST_OBSERVED).all():
+        why = "the photos do not overlap, or show nothing that stands still"
+    else:
+        why = (
+            "they lie in one line and have no attitude, so their roll about that line is unknown; give photos of a "
+            "second line, or attitudes"
+        )
     return f"no photo could be registered: {why}"
 
 
