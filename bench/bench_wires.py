@@ -16,7 +16,7 @@ from typing import get_args
 import numpy as np
 from ground_truth import Bool, GroundTruth
 from ladder import Kind
-from wire_flights import WireFlight, cases, flown
+from wire_flights import WireFlight, drawn, kept
 
 from alight.elevation import on_cells_up_to
 from alight.geometry import Grid
@@ -125,12 +125,10 @@ def main() -> None:
     parser.add_argument("--kind", choices=get_args(Kind), default="tuning")
     parser.add_argument("--count", type=int, default=28)
     parser.add_argument("--scratch", type=Path, default=Path("out/wires"))
-    parser.add_argument("--kept", action="store_true", help="only flights that were flown before")
+    parser.add_argument("--kept", action="store_true", help="all flights that were flown before, and no others")
     options, rows = parser.parse_args(), []
-    for case in cases(options.kind, options.count):
-        if options.kept and not case.kept_in(options.scratch).exists():
-            continue
-        f = flown(case, options.scratch)
+    flights = kept(options.kind, options.scratch) if options.kept else drawn(options.kind, options.count, options.scratch)
+    for f in flights:
         if f is None:
             continue
         rows.append(row_of(f))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -147,3 +148,13 @@ def flown(case: Case, scratch: Path) -> WireFlight | None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(pickle.dumps(found))
     return found
+
+
+def drawn(kind: Kind, count: int, scratch: Path) -> Iterator[WireFlight | None]:
+    """The first flights of a kind, flown if they were not before."""
+    return (flown(case, scratch) for case in cases(kind, count))
+
+
+def kept(kind: Kind, scratch: Path) -> Iterator[WireFlight | None]:
+    """All flights of a kind that were flown before with the same simulator."""
+    return (pickle.loads(p.read_bytes()) for p in sorted((scratch / _made_by()).glob(f"*_{kind}-*.pickle")))
