@@ -18,18 +18,44 @@ from ground_truth import Bool, GroundTruth
 from ladder import Kind
 from wire_flights import WireFlight, drawn, kept
 
-from alight.elevation import on_cells_up_to
-from alight.geometry import Grid
+from alight import hazards
 from alight.hazards.wires import under_wires
 from alight.parallax.wires.find import find_wires
-from alight.records import Wire
-from alight.settings import Lander, Settings
+from alight.pipeline.judging import as_judged, find_land_cover
+from alight.records import ElevationMap, View, Wire, is_site
+from alight.settings import Settings
 from alight_sim.spans import TrueSpans
 
 UNDER = 1.5  # metres, reach of the lander
 FAR = 3.0  # metres from a wire, from which ground is to be kept
+LOWEST_SPAN = 3.5  # metres above ground, of the spans that count
 ENOUGH = 1.0  # m^2 of good ground under a span that counts
 BINS = (0.0, 0.2, 0.4, 0.8, 1.6, 99.0)  # pixels across a wire
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedFlight:
+    """What a flight is asked about: its views, its map as it is judged, and where it is good."""
+
+    name: str
+    height: float  # metres, of the flight above ground
+    views: tuple[View, ...]
+    elevation: ElevationMap
+    good: Bool  # (R, C) safe in truth, and mapped
+    claimed: Bool  # (R, C) P(safe) is that of a site if no wire is looked for
+    spans: TrueSpans
+
+    @classmethod
+    def of(cls, f: WireFlight) -> JudgedFlight:
+        """Judge a flight without wires."""
+        settings = Settings().stages()
+        e = as_judged(f.seen, settings.lander)
+        cover = find_land_cover(e, settings.terrain, None)
+        found = hazards.assess(e, cover, settings.lander, settings.hazards, f.seen.missing)
+        truth = GroundTruth(f.truth, settings.lander)
+        good = truth.on(e.grid, truth.safe) & e.trusted
+        claimed = is_site(found.p_safe, settings.hazards.p_safe)
+        return cls(f.name, f.height, f.seen.views, e, good, claimed, f.spans)
 
 
 @dataclass(frozen=True)
@@ -37,8 +63,9 @@ class SpanRow:
     """One span with good ground under it."""
 
     pixels: float  # its diameter, in pixels of the view that is nearest above
-    left: float  # m^2 of good ground under it that are not refused
     good: float  # m^2 of good ground under it
+    left: float  # m^2 of which are not refused
+    sites: float  # m^2 of which are, beside, sites by their P(safe)
     line: str
 
 
@@ -63,58 +90,53 @@ class FlightRow:
         )
 
 
-def refused_by(wires: Sequence[Wire], grid: Grid, reach: float) -> Bool:
-    """Cells where a wire refuses a touchdown."""
-    return under_wires(wires, grid, Lander(radius=reach))
-
-
-def row_of(f: WireFlight) -> FlightRow:
+def row_of(f: JudgedFlight) -> FlightRow:
     """Find the wires of one flight and compare them with the truth."""
-    lander = Settings().lander
-    e = on_cells_up_to(f.seen.elevation, lander.judging_cell)
     start = time.process_time()
-    wires = find_wires(f.seen.views, e)
+    wires = find_wires(f.views, f.elevation)
     seconds = time.process_time() - start
-    truth = GroundTruth(f.truth, lander)
-    good = truth.on(e.grid, truth.safe) & e.trusted
-    refused = refused_by(wires, e.grid, UNDER)
-    area, far, spans = e.grid.cell**2, np.ones(e.grid.shape, bool), []
-    plane = float(np.nanmedian(e.height))
+    grid = f.elevation.grid
+    refused = under_wires(wires, grid, Settings().lander)
+    area, far, spans = grid.cell**2, np.ones(grid.shape, bool), []
+    plane = float(np.nanmedian(f.elevation.height))
     for k in range(len(f.spans)):
         one = TrueSpans(f.spans.table[k : k + 1])
-        far &= ~one.over(e.grid, FAR)
-        under = good & one.over(e.grid, UNDER)
+        far &= ~one.over(grid, FAR)
+        under = f.good & one.over(grid, UNDER)
         up = float(one.at(np.zeros(1, np.intp), np.array([0.5]))[0, 2]) - plane
-        pixels = float(one.diameter[0]) * f.seen.views[0].camera.fu / max(f.height - up, 0.5)
-        left = area * float((under & ~refused).sum())
-        if area * under.sum() < ENOUGH or up < 3.5:
+        pixels = float(one.diameter[0]) * f.views[0].camera.fu / max(f.height - up, 0.5)
+        left = under & ~refused
+        if area * under.sum() < ENOUGH or up < LOWEST_SPAN:
             continue
         line = f"d {one.diameter[0]:.3f} up {up:4.1f} px {pixels:.2f} colour {one.colour[0, 0]:.2f} {_angle(f, one)}"
-        spans.append(SpanRow(pixels, left, area * float(under.sum()), line))
-    far &= good
+        spans.append(
+            SpanRow(pixels, *(area * float(m.sum()) for m in (under, left, left & f.claimed)), line)
+        )
+    far &= f.good
     return FlightRow(f.name, tuple(spans), area * far.sum(), area * (far & refused).sum(), seconds, wires)
 
 
-def _angle(f: WireFlight, one: TrueSpans) -> str:
-    way, path = (one.end - one.start)[0, :2], (f.seen.views[-1].centre - f.seen.views[0].centre)[:2]
+def _angle(f: JudgedFlight, one: TrueSpans) -> str:
+    way, path = (one.end - one.start)[0, :2], (f.views[-1].centre - f.views[0].centre)[:2]
     cosine = abs(way @ path) / max(np.linalg.norm(way) * np.linalg.norm(path), 1e-9)
     return f"{np.degrees(np.arccos(min(cosine, 1.0))):.0f} deg off the path"
 
 
 def summary(rows: Sequence[FlightRow]) -> list[str]:
     """Requirements over all flights, in words."""
-    spans = [s for r in rows for s in r.spans]
-    out = []
+    spans, out = [s for r in rows for s in r.spans], []
     for low, high in zip(BINS, BINS[1:], strict=False):
         some = [s for s in spans if low <= s.pixels < high]
-        kept, any_ = sum(s.left >= ENOUGH for s in some), sum(s.left > 0 for s in some)
-        out.append(f"spans of {low:g} to {high:g} pixels: {len(some)}, with good ground left {any_}, 1 m2 of it {kept}")
-    far, lost = sum(r.far for r in rows), sum(r.lost for r in rows)
+        kept, sites = sum(s.left >= ENOUGH for s in some), sum(s.sites > 0 for s in some)
+        out.append(f"spans of {low:g} to {high:g} pixels: {len(some)}; 1 m2 of good ground left {kept}, a site {sites}")
+    for words, some in (("with wires", [r for r in rows if r.spans]), ("without", [r for r in rows if not r.spans])):
+        far, lost = sum(r.far for r in some), sum(r.lost for r in some)
+        out.append(f"flights {words}: good ground far from wires lost {100 * lost / max(far, 1e-9):.2f} % of {far:.0f} m2")
     out.append(
-        f"spans with good ground: {len(spans)}; any of it left "
-        f"{100 * np.mean([s.left > 0 for s in spans] or [0]):.1f} %, "
-        f"1 m2 {100 * np.mean([s.left >= ENOUGH for s in spans] or [0]):.1f} %; good ground far from wires lost "
-        f"{100 * lost / max(far, 1e-9):.2f} % of {far:.0f} m2; CPU {np.median([r.seconds for r in rows]):.3f} s"
+        f"spans with good ground: {len(spans)}; 1 m2 of it left "
+        f"{100 * np.mean([s.left >= ENOUGH for s in spans] or [0]):.1f} %, "
+        f"a site {100 * np.mean([s.sites > 0 for s in spans] or [0]):.1f} %; "
+        f"CPU {np.median([r.seconds for r in rows]):.3f} s"
     )
     return out
 
@@ -131,10 +153,10 @@ def main() -> None:
     for f in flights:
         if f is None:
             continue
-        rows.append(row_of(f))
+        rows.append(row_of(JudgedFlight.of(f)))
         print(rows[-1].line, flush=True)
         for s in rows[-1].spans:
-            print(f"    {s.line}: {s.good:.1f} m2, left {s.left:.1f}{'  LEFT' if s.left > 0 else ''}")
+            print(f"    {s.line}: {s.good:.1f} m2, left {s.left:.1f}, sites {s.sites:.1f}{'  LEFT' * (s.left > 0)}")
     print("\n".join(summary(rows)))
 
 

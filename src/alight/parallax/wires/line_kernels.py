@@ -91,7 +91,7 @@ def raise_lines(
         lines: (K, 5) east, north on the plane [m]; family: 0 nearly level, 1 nearly upright; slope number; its own
             sum in `own`.
         own: number of the view that shows the lines.
-        heights: (T,) above the plane, metres, rising.
+        heights: (K, T) above the plane, metres, rising along each line; or (1, T) for all lines.
         centres: (V, 3) camera centres, metres above the plane.
         grids: (V, 5) east, north of the first cell, cell [m], rows, columns of each view's part of the plane.
         known: (V, 2, B, R) share of the cells of each block and row whose difference is known, 0 to 255; as the sums.
@@ -103,50 +103,56 @@ def raise_lines(
         out: (K, 4) sum over the root of the number of views, height [m], number of views, and the other sum likewise;
             at the best height. Without enough views the sums are 0, and the number is the largest of all heights.
     """
+    steps = heights.shape[1]
+    total, fit, count = np.empty(steps), np.empty(steps), np.empty(steps, np.int64)
     for k in range(lines.shape[0]):
         east, north, family, d = lines[k, 0], lines[k, 1], int(lines[k, 2]), int(lines[k, 3])
+        own_heights = heights[min(k, heights.shape[0] - 1)]
         sign, clear = math.copysign(1.0, lines[k, 4]), max(abs(lines[k, 4]), cap)
         slope = slopes[d]
+        down = round(slope * BLOCK * REACH)
         across_e, across_n = (slope, 1.0) if family == 0 else (1.0, slope)
         length = math.hypot(across_e, across_n)
         across_e, across_n = across_e / length, across_n / length
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = 0.0, heights[0], 0.0, 0.0
-        for h in heights:
-            share = 1.0 - h / centres[own, 2]
-            at_e = centres[own, 0] + (east - centres[own, 0]) * share
-            at_n = centres[own, 1] + (north - centres[own, 1]) * share
-            total, fit, count = 0.0, 0.0, 0
-            for v in range(centres.shape[0]):
+        total[:], fit[:], count[:] = 0.0, 0.0, 0
+        for v in range(centres.shape[0]):  # outside, so that neighbouring heights read neighbouring sums
+            if v == own:
+                continue
+            cell, rows, cols = grids[v, 2], int(grids[v, 3]), int(grids[v, 4])
+            if family == 1:
+                rows, cols = cols, rows
+            view_sums, view_known = sums[v, family, d], known[v, family]
+            for t in range(steps):
+                h = own_heights[t]
                 drop = centres[v, 2] - h
-                if v == own or drop < 1.0:
-                    continue
-                far = centres[v, 2] / drop
-                e = centres[v, 0] + (at_e - centres[v, 0]) * far
-                n = centres[v, 1] + (at_n - centres[v, 1]) * far
-                cell = grids[v, 2]
+                if drop < 1.0:
+                    break
+                share, far = 1.0 - h / centres[own, 2], centres[v, 2] / drop
+                e = centres[v, 0] + (centres[own, 0] + (east - centres[own, 0]) * share - centres[v, 0]) * far
+                n = centres[v, 1] + (centres[own, 1] + (north - centres[own, 1]) * share - centres[v, 1]) * far
                 if abs((e - east) * across_e + (n - north) * across_n) < still * cell:
                     continue
-                row, col, rows, cols = (grids[v, 1] - n) / cell, (e - grids[v, 0]) / cell, grids[v, 3], grids[v, 4]
+                row, col = (grids[v, 1] - n) / cell, (e - grids[v, 0]) / cell
                 if family == 1:
-                    row, col, rows, cols = col, row, cols, rows
+                    row, col = col, row
                 block = round((col - 0.5 * (BLOCK - 1)) / BLOCK)
-                if block < 1 or block >= int(cols) // BLOCK - 1:
+                if block < 1 or block >= cols // BLOCK - 1:
                     continue
-                row += slope * (BLOCK * block + 0.5 * (BLOCK - 1) - col)
-                at = round(row)
-                if at < 2 or at >= int(rows) - 2:
+                at = round(row + slope * (BLOCK * block + 0.5 * (BLOCK - 1) - col))
+                if at < 2 or at >= rows - 2:
                     continue
-                down = round(slope * BLOCK * REACH)
-                if not (_is_known(known[v, family], block - REACH, at - down)):
+                if not (_is_known(view_known, block - REACH, at - down)):
                     continue
-                if not (_is_known(known[v, family], block + REACH, at + down)):
+                if not (_is_known(view_known, block + REACH, at + down)):
                     continue
-                size = sign * sums[v, family, d, block, at]
-                total += min(max(size, -cap), cap)
-                fit += min(max(size, -clear), clear)
-                count += 1
-            if count >= fewest and fit / math.sqrt(count) > out[k, 3]:
-                out[k, 0], out[k, 1], out[k, 2] = total / math.sqrt(count), h, count
-                out[k, 3] = fit / math.sqrt(count)
+                size = sign * view_sums[block, at]
+                total[t] += min(max(size, -cap), cap)
+                fit[t] += min(max(size, -clear), clear)
+                count[t] += 1
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = 0.0, own_heights[0], 0.0, 0.0
+        for t in range(steps):
+            if count[t] >= fewest and fit[t] / math.sqrt(count[t]) > out[k, 3]:
+                out[k, 0], out[k, 1], out[k, 2] = total[t] / math.sqrt(count[t]), own_heights[t], count[t]
+                out[k, 3] = fit[t] / math.sqrt(count[t])
             elif out[k, 3] == 0.0:
-                out[k, 2] = max(out[k, 2], count)
+                out[k, 2] = max(out[k, 2], count[t])

@@ -25,6 +25,9 @@ STILL = 2.0  # cells: see `raise_lines`
 CLEAR = 100.0  # noise of the sums, of a line that is followed
 CAP = 3.0  # noise of the sums: see `raise_lines`
 FEWEST = 3  # other views that confirm a line
+ABOUT = np.linspace(-3.0, 3.0, 7)  # cells of parallax above and below a place at which its line is looked for
+BESIDE = np.linspace(-3.0, 3.0, 5)  # cells beside it
+MOST_VAGUE = 0.3  # metres that are taken for a cell of parallax at most
 STEP = 1.5  # cells by which a line moves in the farthest view from one height to the next
 
 
@@ -113,26 +116,8 @@ class LineSums:
         shown = np.column_stack([grid.east + cols * grid.cell, grid.north - rows * grid.cell])
         along = np.column_stack([np.where(level, 1.0, slope), np.where(level, -slope, -1.0)])
         lengths = np.hypot(1.0, slope)
-        found = np.empty((len(d), 4))
         lines = np.column_stack([shown, family, d, strength]).astype(np.float64)
-        heights = self._heights(own, lowest, highest)
-        if len(heights):
-            raise_lines(
-                lines,
-                own,
-                heights,
-                self._centres,
-                self._grids,
-                self._known,
-                self.sums,
-                SLOPES,
-                STILL,
-                CAP,
-                FEWEST,
-                found,
-            )
-        else:
-            found[:] = 0
+        found = self._raised(lines, own, self._heights(own, lowest, highest)[None], FEWEST)
         share = 1.0 - found[:, 1] / self.views[own].above[2]
         middle_m = self.views[own].above[:2] + (shown - self.views[own].above[:2]) * share[:, None]
         out = Segments(
@@ -151,42 +136,40 @@ class LineSums:
         up, widest = self._centres[own, 2], np.abs(base).max(axis=0)
         return np.asarray(self.views[own].grid.cell * (up - height) ** 2 / np.maximum(widest * up, 1e-3))
 
-    def around(self, own: int, place: F64, along: F64, sign: float, height: float) -> Nearby:
-        """Return the best line near one line in the air.
+    def around(self, own: int, places: F64, along: F64, sign: float, heights: F64) -> list[Nearby]:
+        """Return the best line near each of some parallel lines in the air.
 
         Args:
-            own: number of a view that shows it.
-            place: (2,) east, north.
+            own: number of a view that shows them.
+            places: (N, 2) east, north.
             along: (2,) unit vector.
             sign: 1: brighter than the ground, -1: darker.
-            height: metres above the plane.
+            heights: (N,) metres above the plane.
         """
         above, cell = self.views[own].above, self.views[own].grid.cell
-        vague = min(float(self._vague(own, along[None], np.array([height]))[0]), 0.3)
-        heights = np.clip(height + vague * np.linspace(-3.0, 3.0, 7), 0.5, above[2] - 1.5)
+        vague = np.minimum(self._vague(own, np.tile(along, (len(places), 1)), heights), MOST_VAGUE)
+        around = np.clip(heights[:, None] + vague[:, None] * ABOUT, 0.5, above[2] - 1.5)
         level = abs(along[0]) >= abs(along[1])
         slope = -along[1] / along[0] if level else -along[0] / along[1]
-        beside = np.linspace(-3.0, 3.0, 5)[:, None] * cell * np.array([-along[1], along[0]])
-        shown = above[:2] + (place - above[:2]) * (above[2] / (above[2] - heights[3])) + beside
         d = float(np.argmin(np.abs(SLOPES - slope)))
+        lowered = above[2] / (above[2] - around[:, ABOUT.size // 2])
+        shown = above[:2] + (places - above[:2]) * lowered[:, None]
+        beside = BESIDE[:, None] * cell * np.array([-along[1], along[0]])
+        shown = (shown[:, None] + beside).reshape(-1, 2)
         lines = np.column_stack([shown, np.tile([0.0 if level else 1.0, d, CLEAR * sign], (len(shown), 1))])
-        found = np.empty((len(shown), 4))
-        raise_lines(
-            lines,
-            own,
-            heights,
-            self._centres,
-            self._grids,
-            self._known,
-            self.sums,
-            SLOPES,
-            STILL,
-            CAP,
-            FEWEST - 1,
-            found,
-        )
-        score, at, count, strength = found[int(np.argmax(found[:, 3]))].tolist()
-        return Nearby(score, at, int(count), strength)
+        found = self._raised(lines, own, np.repeat(around, len(beside), axis=0), FEWEST - 1)
+        found = found.reshape(len(places), len(beside), 4)
+        best = found[np.arange(len(places)), np.argmax(found[:, :, 3], axis=1)]
+        return [Nearby(score, at, int(count), strength) for score, at, count, strength in best.tolist()]
+
+    def _raised(self, lines: F64, own: int, heights: F64, fewest: int) -> F64:
+        """Return score, height, number of views and strength of each line at its best height, (K, 4)."""
+        out = np.zeros((len(lines), 4))
+        if heights.size:
+            raise_lines(
+                lines, own, heights, self._centres, self._grids, self._known, self.sums, SLOPES, STILL, CAP, fewest, out
+            )
+        return out
 
     def _lines(self, own: int) -> tuple[I64, I64, I64, I64]:
         """Return family, slope number, block and row of the strongest lines of a view, (N,) each."""

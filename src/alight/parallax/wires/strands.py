@@ -102,10 +102,9 @@ class Strand:
         own, apart = _most_common(s.own[self.members]), 1.6 * float(np.median(s.half[self.members]))
         count = max(int((self.high - self.low) / apart), 1)
         at = 0.5 * (self.low + self.high) + apart * (np.arange(count) - 0.5 * (count - 1))
-        return [
-            sums.around(own, self.place + a * self.along, self.along, self._sign(s), self.height + self.slope * a)
-            for a in at.tolist()
-        ]
+        return sums.around(
+            own, self.place + at[:, None] * self.along, self.along, self._sign(s), self.height + self.slope * at
+        )
 
     def evidence(self, s: Segments, sums: LineSums) -> float:
         """Return the sum of the scores along the strand over the root of their number: noise of one score.
@@ -125,7 +124,8 @@ class Strand:
         for way, at in ((-1.0, float(np.quantile(middles, RIM))), (1.0, float(np.quantile(middles, 1 - RIM)))):
             height, gone, unseen = self.height + self.slope * at, 0.0, 0.0
             while gone < FARTHEST:
-                n = sums.around(own, self.place + (at + way * stride) * self.along, self.along, sign, height)
+                place = self.place + (at + way * stride) * self.along
+                (n,) = sums.around(own, place[None], self.along, sign, np.array([height]))
                 if n.strength >= least:
                     height, unseen = n.height, 0.0
                 elif n.count >= FEWEST - 1 or unseen >= min(UNSEEN[0] * (self.high - self.low), UNSEEN[1]):
