@@ -18,9 +18,10 @@ from alight.records import ElevationMap, Flag, View
 from alight.records.wires import Wire
 
 MOST_VIEWS = 16
+SHOWN_BY = 3  # every so many views give lines that the others confirm
 PIXELS = 2.6  # of the views across a cell, at least: thinner than that, wires are as clear and cost more
 LOWEST, HIGHEST = 2.5, 32.0  # metres above the ground, of what is looked for
-PIECES, EVIDENCE = 2.0, 17.5  # evidence of a strand, with so much for the logarithm of its pieces, of a wire
+PIECES, EVIDENCE = 2.0, 14.0  # evidence of a strand, with so much for the logarithm of its pieces, of a wire
 
 
 def chosen_views(views: Sequence[View], most: int) -> list[View]:
@@ -46,7 +47,7 @@ def ground_of(elevation: ElevationMap, views: Sequence[View]) -> tuple[Grid, F32
 
 def all_segments(sums: LineSums) -> Segments | None:
     """Return the pieces that any view shows and others confirm; None: there are none."""
-    parts = [sums.segments(k, LOWEST, HIGHEST, LIKELY) for k in range(len(sums.views))]
+    parts = [sums.segments(k, LOWEST, HIGHEST, LIKELY) for k in range(0, len(sums.views), SHOWN_BY)]
     return Segments.joined(parts) if parts else None
 
 

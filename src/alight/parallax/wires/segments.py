@@ -205,10 +205,7 @@ class LineSums:
 
 def _noise_of(sums: F32) -> F32:
     """Return the noise (D, 1, 1) of the sums (D, B, R) of each direction: ground with a grain is noisy along it."""
-    some = np.abs(sums[:, :, ::3]).reshape(len(sums), -1)
-    some = np.where(some > 0, some, np.nan)
-    with np.errstate(all="ignore"):
-        each = np.array([np.median(v[~np.isnan(v)]) if not np.isnan(v).all() else np.nan for v in some])
-    usual = np.nanmedian(each) if np.isfinite(each).any() else 1.0
-    each = np.maximum(np.nan_to_num(each, nan=usual), usual)
-    return np.asarray(1.4826 * np.maximum(each, 1e-6)[:, None, None], np.float32)
+    size = np.abs(sums[:, :, ::3])
+    mean = size.sum(axis=(1, 2)) / np.maximum(np.count_nonzero(size, axis=(1, 2)), 1)
+    usual = np.median(mean)
+    return np.asarray(1.2533 * np.maximum(mean, max(usual, 1e-6))[:, None, None], np.float32)
