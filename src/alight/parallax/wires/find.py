@@ -21,7 +21,8 @@ MOST_VIEWS = 16
 SHOWN_BY = 3  # every so many views give lines that the others confirm
 PIXELS = 2.6  # of the views across a cell, at least: thinner than that, wires are as clear and cost more
 LOWEST, HIGHEST = 2.5, 32.0  # metres above the ground, of what is looked for
-PIECES, EVIDENCE = 2.0, 14.0  # evidence of a strand, with so much for the logarithm of its pieces, of a wire
+HIGH = 3.0  # metres above the ground, of what is called a wire: lower lines are fences and rims of hedges
+PIECES, EVIDENCE = 2.0, 16.0  # evidence of a strand, with so much for the logarithm of its pieces, of a wire
 
 
 def chosen_views(views: Sequence[View], most: int) -> list[View]:
@@ -52,7 +53,9 @@ def all_segments(sums: LineSums) -> Segments | None:
 
 
 def _is_wire(one: Strand, s: Segments, sums: LineSums) -> bool:
-    return abs(one.slope) < STEEPEST and one.evidence(s, sums) + PIECES * math.log(one.members.sum()) >= EVIDENCE
+    if one.height < HIGH or abs(one.slope) > STEEPEST:
+        return False
+    return one.evidence(s, sums) + PIECES * math.log(one.members.sum()) >= EVIDENCE
 
 
 def find_wires(views: Sequence[View], elevation: ElevationMap) -> tuple[Wire, ...]:

@@ -28,7 +28,7 @@ FADED = 0.3  # of its usual strength, that shows the end of a wire
 FOLLOWED = 2.5  # score up to which a wire is followed beyond its pieces
 STRIDE = 0.25  # of the length of a piece, from one place to the next when it is followed
 FARTHEST = 30.0  # metres that it is followed
-UNSEEN = 1.0, 15.0  # of its length, and metres, that it is continued over what no view shows, at most
+UNSEEN = 0.5, 8.0  # of its length, and metres, that it is continued over what no view shows, at most
 CROSSES = 0.4  # sine of the angle up to which lines across that image are explained as well
 
 
