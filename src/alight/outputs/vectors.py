@@ -11,7 +11,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import LocalFrame
-from alight.records import Motion, NextView, PlaceSigma, Route, Site, Sites, Waypoint
+from alight.records import Motion, NextView, PlaceSigma, Route, Site, Sites, Waypoint, Wire
 
 COLUMNS = (
     "t_ns,east_m,north_m,up_m,q_w,q_x,q_y,q_z,v_e,v_n,v_u,"
@@ -137,6 +137,21 @@ def route_geojson(route: Route, local: LocalFrame) -> dict[str, Any]:
     }
     points = [feature("Point", xyz, p) for xyz, p in zip(positions, properties, strict=True)]
     return {"type": "FeatureCollection", "features": [feature("LineString", positions, line), *points]}
+
+
+def wires_geojson(wires: Sequence[Wire], local: LocalFrame) -> dict[str, Any]:
+    """Return the wires over the ground as GeoJSON: a line each, with the height of both ends."""
+    return {
+        "type": "FeatureCollection",
+        "features": [
+            feature(
+                "LineString",
+                [lon_lat_height(local, *end) for end in (w.start, w.end)],
+                {"evidence": number(w.score, 2), "views": w.views, "length_m": number(w.length, 2)},
+            )
+            for w in wires
+        ],
+    }
 
 
 def plain(thing: Any) -> Any:

@@ -158,8 +158,7 @@ class JudgingLane:
         self._follow(frame)
         t_ns = max((v.t_ns for v in seen.views), default=0)
         with self._timings.of("wires"):
-            found_wires = find_wires(seen.views, seen.elevation)
-            self.memory = replace(self.memory, wires=self.memory.wires.with_seen(found_wires, t_ns))
+            self._search_wires(seen)
         with self._timings.of("finer pixels"):
             elevation = as_judged(seen, s.lander)
         _tidy(elevation)
@@ -180,6 +179,13 @@ class JudgingLane:
             apart = sites.separation(s.sites, s.lander)
             self.memory = self.memory.with_reserve(self.memory.kept.updated(chosen, found, apart), frame)
         return Verdict(without_water(seen.elevation, land_cover), land_cover, found, chosen, frame, seen.missing)
+
+    def _search_wires(self, seen: MapSnapshot) -> None:
+        """Look for wires if enough views are new, and remember them."""
+        known = self.memory.wires
+        if known.is_search_due(seen.views):
+            found = find_wires(seen.views, on_cells_up_to(seen.elevation, self._settings.lander.judging_cell))
+            self.memory = replace(self.memory, wires=known.with_search(found, seen.views, seen.elevation.grid))
 
     def _with_earlier(self, land_cover: TerrainMap, t_ns: int) -> TerrainMap:
         """Add the land cover to the memory, and return it with the roofs (G13c) and doubts (T8) of earlier maps."""
