@@ -10,6 +10,7 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import get_args
 
@@ -19,7 +20,7 @@ from ladder import Kind
 from wire_flights import WireFlight, drawn, kept
 
 from alight import hazards
-from alight.hazards.wires import under_wires
+from alight.hazards.wires import no_wire, under_wires
 from alight.parallax.wires.find import find_wires
 from alight.pipeline.judging import as_judged, find_land_cover
 from alight.records import ElevationMap, View, Wire, is_site
@@ -64,7 +65,7 @@ class SpanRow:
 
     pixels: float  # its diameter, in pixels of the view that is nearest above
     good: float  # m^2 of good ground under it
-    left: float  # m^2 of which are not refused
+    left: float  # m^2 of which are neither refused nor in doubt
     sites: float  # m^2 of which are, beside, sites by their P(safe)
     line: str
 
@@ -76,7 +77,7 @@ class FlightRow:
     name: str
     spans: tuple[SpanRow, ...]
     far: float  # m^2 of good ground far from wires
-    lost: float  # of which refused
+    lost: float  # of which refused or in doubt
     seconds: float
     wires: tuple[Wire, ...]
 
@@ -96,7 +97,8 @@ def row_of(f: JudgedFlight) -> FlightRow:
     wires = find_wires(f.views, f.elevation)
     seconds = time.process_time() - start
     grid = f.elevation.grid
-    refused = under_wires(wires, grid, Settings().lander)
+    lander = Settings().lander
+    refused = under_wires(wires, grid, lander) | (no_wire(wires, grid, lander) < 1)
     area, far, spans = grid.cell**2, np.ones(grid.shape, bool), []
     plane = float(np.nanmedian(f.elevation.height))
     for k in range(len(f.spans)):
@@ -109,9 +111,7 @@ def row_of(f: JudgedFlight) -> FlightRow:
         if area * under.sum() < ENOUGH or up < LOWEST_SPAN:
             continue
         line = f"d {one.diameter[0]:.3f} up {up:4.1f} px {pixels:.2f} colour {one.colour[0, 0]:.2f} {_angle(f, one)}"
-        spans.append(
-            SpanRow(pixels, *(area * float(m.sum()) for m in (under, left, left & f.claimed)), line)
-        )
+        spans.append(SpanRow(pixels, *(area * float(m.sum()) for m in (under, left, left & f.claimed)), line))
     far &= f.good
     return FlightRow(f.name, tuple(spans), area * far.sum(), area * (far & refused).sum(), seconds, wires)
 
@@ -125,13 +125,15 @@ def _angle(f: JudgedFlight, one: TrueSpans) -> str:
 def summary(rows: Sequence[FlightRow]) -> list[str]:
     """Requirements over all flights, in words."""
     spans, out = [s for r in rows for s in r.spans], []
-    for low, high in zip(BINS, BINS[1:], strict=False):
+    for low, high in pairwise(BINS):
         some = [s for s in spans if low <= s.pixels < high]
         kept, sites = sum(s.left >= ENOUGH for s in some), sum(s.sites > 0 for s in some)
         out.append(f"spans of {low:g} to {high:g} pixels: {len(some)}; 1 m2 of good ground left {kept}, a site {sites}")
     for words, some in (("with wires", [r for r in rows if r.spans]), ("without", [r for r in rows if not r.spans])):
         far, lost = sum(r.far for r in some), sum(r.lost for r in some)
-        out.append(f"flights {words}: good ground far from wires lost {100 * lost / max(far, 1e-9):.2f} % of {far:.0f} m2")
+        out.append(
+            f"flights {words}: good ground far from wires lost {100 * lost / max(far, 1e-9):.2f} % of {far:.0f} m2"
+        )
     out.append(
         f"spans with good ground: {len(spans)}; 1 m2 of it left "
         f"{100 * np.mean([s.left >= ENOUGH for s in spans] or [0]):.1f} %, "
@@ -149,7 +151,9 @@ def main() -> None:
     parser.add_argument("--scratch", type=Path, default=Path("out/wires"))
     parser.add_argument("--kept", action="store_true", help="all flights that were flown before, and no others")
     options, rows = parser.parse_args(), []
-    flights = kept(options.kind, options.scratch) if options.kept else drawn(options.kind, options.count, options.scratch)
+    flights = (
+        kept(options.kind, options.scratch) if options.kept else drawn(options.kind, options.count, options.scratch)
+    )
     for f in flights:
         if f is None:
             continue

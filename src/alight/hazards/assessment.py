@@ -10,7 +10,7 @@ from alight.arrays import F32, U16, Mask
 from alight.hazards.evidence import Evidence, evidence_of
 from alight.hazards.factors import factors_of, margins_over_sigma
 from alight.hazards.touchdown import Inputs, Touchdowns, measure
-from alight.hazards.wires import under_wires
+from alight.hazards.wires import no_wire, under_wires
 from alight.raster import clearance_of, disc_any, disc_max, disc_mean, log_brightness
 from alight.records import NOTHING_MISSING, ElevationMap, Hazard, HazardMap, MissingVeto, TerrainMap, Wire, is_site
 from alight.settings import HazardsSettings, Lander
@@ -96,7 +96,7 @@ def assess(
         missing: vetoes that could not be applied for want of data.
         passed: (R, C) mask of cells that a moving object crossed recently; None: no cell.
         came: (R, C) mask of cells where a person or object recently came to stand; None: no cell.
-        wires: wires over the ground.
+        wires: wires over the ground, found and doubtful.
 
     Raises:
         ValueError: the two maps have different grids.
@@ -114,14 +114,15 @@ def assess(
     quality, f = _quality(found, on), factors_of(found, on, missing)
     judged, slope, roughness, step = ~(found.edge | found.unknown), found.slope, found.footprint.roughness, found.step
     del found  # a third of the memory needed to judge a large map
-    for factor in (f.relief, f.obstacle, f.ground):
+    p_wires = no_wire(wires, elevation.grid, lander)
+    for factor in (f.relief, f.obstacle, f.ground, p_wires):
         factor[~judged] = np.nan
-    p = f.relief * f.obstacle * f.ground
+    p = f.relief * f.obstacle * f.ground * p_wires
     p[judged & (reasons != 0)] = 0
     _refuse(reasons, judged & (reasons == 0) & ~is_site(p, settings.p_safe), Hazard.DOUBT)
     return HazardMap(
         grid=elevation.grid, slope=slope, roughness=roughness, step=step,
         clearance=clearance_of(reasons == 0, on.cell), p_safe=p, p_relief=f.relief, p_obstacle=f.obstacle,
-        p_ground=f.ground, resolved=f.resolved, settles_at=f.settles_at, quality=quality, reasons=reasons,
-        wires=tuple(wires),
+        p_ground=f.ground, p_wires=p_wires, resolved=f.resolved, settles_at=f.settles_at, quality=quality,
+        reasons=reasons, wires=tuple(wires),
     )  # fmt: skip

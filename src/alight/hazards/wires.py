@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from alight.arrays import Mask
+from alight.arrays import F32, Mask
 from alight.geometry import Grid
 from alight.records import Wire, nearest_wire
 from alight.settings import Lander
@@ -16,6 +16,19 @@ BEYOND = 4.0  # metres by which a wire may go on at either end of what was found
 
 
 def under_wires(wires: Sequence[Wire], grid: Grid, lander: Lander) -> Mask:
-    """Return the mask of touchdowns (R, C) with a wire over the vehicle or beside it, at any height."""
-    distance, _ = nearest_wire([w.longer(BEYOND) for w in wires], grid)
+    """Return the mask of touchdowns (R, C) with a found wire over the vehicle or beside it, at any height."""
+    return _below([w.longer(BEYOND) for w in wires if w.is_found], grid, lander)
+
+
+def no_wire(wires: Sequence[Wire], grid: Grid, lander: Lander) -> F32:
+    """Return the probability (R, C) that none of the doubtful wires hangs over a touchdown."""
+    out = np.ones(grid.shape, np.float32)
+    for w in wires:
+        if not w.is_found:
+            out[_below([w], grid, lander)] *= np.float32(1 - w.chance)
+    return out
+
+
+def _below(wires: Sequence[Wire], grid: Grid, lander: Lander) -> Mask:
+    distance, _ = nearest_wire(wires, grid)
     return np.asarray(distance <= lander.reach + SLACK)

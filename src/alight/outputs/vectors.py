@@ -52,6 +52,7 @@ def site_properties(site: Site, look: Sequence[float | None] | None = None) -> d
         "p_relief": number(site.p_relief, 5),
         "p_obstacle": number(site.p_obstacle, 5),
         "p_ground": number(site.p_ground, 5),
+        "p_wires": number(site.p_wires, 5),
         "quality": number(site.quality, 5),
         "slope_deg": degrees(site.slope),
         "roughness_m": number(site.roughness, 4),
@@ -147,7 +148,7 @@ def wires_geojson(wires: Sequence[Wire], local: LocalFrame) -> dict[str, Any]:
             feature(
                 "LineString",
                 [lon_lat_height(local, *end) for end in (w.start, w.end)],
-                {"evidence": number(w.score, 2), "views": w.views, "length_m": number(w.length, 2)},
+                {"p_wire": number(w.chance, 3), "length_m": number(w.length, 2)},
             )
             for w in wires
         ],

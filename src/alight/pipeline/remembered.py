@@ -248,11 +248,20 @@ class WireMemory:
         for w in wires:
             same = [k for k in kept if k.wire.covers(w) or w.covers(k.wire)]
             kept = [k for k in kept if k not in same]
-            longest = max([w, *(k.wire for k in same)], key=lambda x: x.length)
-            new.append(RememberedWire(longest, t_ns, 1 + max((k.found for k in same), default=0)))
+            new.append(
+                RememberedWire(
+                    _longest([w, *(k.wire for k in same)]), t_ns, 1 + max((k.found for k in same), default=0)
+                )
+            )
         later = new + [k.looked_for(grid, height) for k in kept]
         return WireMemory(tuple(k for k in later if k.lasts(t_ns)), frozenset(v.t_ns for v in views))
 
     def moved(self, shift: F64) -> WireMemory:
         """Return a copy for a map frame where positions are larger by `shift`, metres."""
         return replace(self, kept=tuple(replace(k, wire=k.wire.moved(shift)) for k in self.kept))
+
+
+def _longest(wires: Sequence[Wire]) -> Wire:
+    """Return the longest of the surest wires, at the best of their chances."""
+    best = max(wires, key=lambda w: (w.is_found, w.length))
+    return replace(best, chance=max(w.chance for w in wires))

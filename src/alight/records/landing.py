@@ -13,7 +13,7 @@ from alight.records.surface import OnGrid, Terrain
 from alight.records.wires import Wire
 
 Kind = Literal["site", "candidate"]
-Doubt = Literal["relief", "obstacle", "ground"]  # the factors of P(safe)
+Doubt = Literal["relief", "obstacle", "ground", "wires"]  # the factors of P(safe)
 
 
 class Hazard(IntFlag):
@@ -64,7 +64,7 @@ class HazardMap(OnGrid):
     roughness: F32  # (R, C) metres, largest deviation from the footprint's plane
     step: F32  # (R, C) metres, largest rise between neighbouring cells in the footprint
     clearance: F32  # (R, C) metres to the nearest cell where a touchdown is refused
-    p_safe: F32  # (R, C) probability of a touchdown within every limit: product of the three factors; 0 if refused
+    p_safe: F32  # (R, C) probability of a touchdown within every limit: product of the factors; 0 if refused
     p_relief: F32  # (R, C) probability that slope and relief keep their limits, by the heights
     p_obstacle: F32  # (R, C) probability of no obstacle that is too small for heights and pictures
     p_ground: F32  # (R, C) probability of firm, dry ground
@@ -72,7 +72,8 @@ class HazardMap(OnGrid):
     settles_at: F32  # (R, C) metres, ground width of a pixel that would settle the doubt; NaN: no width would
     quality: F32  # (R, C) Q of the paper, eq. 5: 0 is best, more negative is worse
     reasons: U16  # (R, C) bits of Hazard; 0 = safe
-    wires: tuple[Wire, ...] = ()  # wires over the ground, as far as they were found
+    p_wires: F32 | None = None  # (R, C) probability that no doubtful line is a wire over it; None: 1
+    wires: tuple[Wire, ...] = ()  # wires over the ground, found and doubtful
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ class Site:
     east: float
     north: float
     up: float
-    p_safe: float  # the product of the three factors
+    p_safe: float  # the product of the factors
     p_relief: float
     p_obstacle: float
     p_ground: float
@@ -114,6 +115,7 @@ class Site:
     height_sigma: float  # metres
     doubt: Doubt | None = None  # candidate: the smallest factor of P(safe); None: a site
     look: NextView | None = None  # candidate: the next view; None: no view would settle the doubt
+    p_wires: float = 1.0
 
     @property
     def kind(self) -> Kind:

@@ -17,8 +17,12 @@ class Wire:
 
     start: F64  # (3,) metres: east, north, up
     end: F64  # (3,) metres
-    views: int  # number of views that show it
-    score: float  # evidence: noise of a view's sum along a line, over all views; the best piece of the wire
+    chance: float  # probability that it is a wire: the rest are lines on the ground and luck
+
+    @property
+    def is_found(self) -> bool:
+        """Whether it is more likely a wire than not; if not, it is a doubt."""
+        return self.chance >= 0.5
 
     def moved(self, shift: F64) -> Wire:
         """Return the wire moved by `shift`, (3,) metres."""
@@ -33,12 +37,12 @@ class Wire:
         """Whether both ends of another wire lie within `beside` metres of this one, continued by `along` metres."""
         whole, ends = self.longer(along), np.array([other.start, other.end])[:, :2]
         start, way = whole.start[:2], (whole.end - whole.start)[:2]
-        share = np.clip((ends - start) @ way / max(way @ way, 1e-12), 0.0, 1.0)
+        share = np.clip((ends - start) @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
         return bool((np.linalg.norm(ends - start - share[:, None] * way, axis=1) <= beside).all())
 
     def longer(self, by: float) -> Wire:
         """Return the wire continued by `by` metres at both ends."""
-        way = (self.end - self.start) * (by / max(self.length, 1e-9))
+        way = np.asarray((self.end - self.start) * (by / max(self.length, 1e-9)))
         return replace(self, start=self.start - way, end=self.end + way)
 
 

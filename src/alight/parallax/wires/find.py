@@ -22,7 +22,9 @@ SHOWN_BY = 3  # every so many views give lines that the others confirm
 PIXELS = 2.6  # of the views across a cell, at least: thinner than that, wires are as clear and cost more
 LOWEST, HIGHEST = 2.5, 32.0  # metres above the ground, of what is looked for
 HIGH = 3.0  # metres above the ground, of what is called a wire: lower lines are fences and rims of hedges
-PIECES, EVIDENCE = 2.0, 16.0  # evidence of a strand, with so much for the logarithm of its pieces, of a wire
+PIECES = 2.0  # of a strand's evidence, for the logarithm of the number of its pieces
+EVENS, ODDS = 16.0, 1.0  # evidence of which half are wires, and by which the odds grow e-fold: on drawn flights
+LEAST_CHANCE = 0.25  # that a strand is a wire, below which it is left out
 
 
 def chosen_views(views: Sequence[View], most: int) -> list[View]:
@@ -52,10 +54,12 @@ def all_segments(sums: LineSums) -> Segments | None:
     return Segments.joined(parts) if parts else None
 
 
-def _is_wire(one: Strand, s: Segments, sums: LineSums) -> bool:
+def _chance(one: Strand, s: Segments, sums: LineSums) -> float:
+    """Return the probability that a strand is a wire."""
     if one.height < HIGH or abs(one.slope) > STEEPEST:
-        return False
-    return one.evidence(s, sums) + PIECES * math.log(one.members.sum()) >= EVIDENCE
+        return 0.0
+    evidence = one.evidence(s, sums) + PIECES * math.log(one.members.sum())
+    return 1 / (1 + math.exp(min((EVENS - evidence) / ODDS, 50.0)))
 
 
 def find_wires(views: Sequence[View], elevation: ElevationMap) -> tuple[Wire, ...]:
@@ -75,8 +79,7 @@ def find_wires(views: Sequence[View], elevation: ElevationMap) -> tuple[Wire, ..
         return ()
     out = []
     for one in strands(found, sums.views):
-        if _is_wire(one, found, sums):
-            start, end = one.followed(found, sums).ends(0.0) + (0.0, 0.0, plane)
-            own = one.members
-            out.append(Wire(start, end, len(np.unique(found.own[own])), one.evidence(found, sums)))
+        if (chance := _chance(one, found, sums)) >= LEAST_CHANCE:
+            start, end = one.followed(found, sums).ends(0.0) + np.array([0.0, 0.0, plane])
+            out.append(Wire(start, end, chance))
     return tuple(out)

@@ -72,7 +72,7 @@ def _is_known(known: U8, block: int, row: int) -> bool:
     """Whether most of a block's row (B, R) is known; a block beyond the picture is not."""
     if block < 0 or block >= known.shape[0] or row < 0 or row >= known.shape[1]:
         return False
-    return known[block, row] > 127
+    return bool(known[block, row] > 127)
 
 
 @kernel

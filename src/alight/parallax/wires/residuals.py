@@ -142,7 +142,7 @@ def _common(ground: Sequence[_OnGround], grid: Grid) -> tuple[F32, F32]:
     for g in ground:
         m, limit = mean[g.box], most[g.box]
         total[g.box] += (m + np.clip(g.light - m, -limit, limit)) * g.known
-    return total / np.maximum(count, 1), count
+    return np.asarray(total / np.maximum(count, 1), np.float32), count
 
 
 def _less_slides(differences: Sequence[F32], ground: Sequence[_OnGround], mean: F32) -> list[F32]:

@@ -60,7 +60,7 @@ class Nearby(NamedTuple):
 
     score: float
     height: float  # metres above the plane
-    count: int  # number of views
+    views: int  # number of them
     strength: float  # as the score, but of views that count in full
 
 

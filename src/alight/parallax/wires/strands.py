@@ -103,7 +103,11 @@ class Strand:
         count = max(int((self.high - self.low) / apart), 1)
         at = 0.5 * (self.low + self.high) + apart * (np.arange(count) - 0.5 * (count - 1))
         return sums.around(
-            own, self.place + at[:, None] * self.along, self.along, self._sign(s), self.height + self.slope * at
+            own,
+            self.place + at[:, None] * self.along,
+            self.along,
+            self._sign(s),
+            np.asarray(self.height + self.slope * at),
         )
 
     def evidence(self, s: Segments, sums: LineSums) -> float:
@@ -128,7 +132,7 @@ class Strand:
                 (n,) = sums.around(own, place[None], self.along, sign, np.array([height]))
                 if n.strength >= least:
                     height, unseen = n.height, 0.0
-                elif n.count >= FEWEST - 1 or unseen >= min(UNSEEN[0] * (self.high - self.low), UNSEEN[1]):
+                elif n.views >= FEWEST - 1 or unseen >= min(UNSEEN[0] * (self.high - self.low), UNSEEN[1]):
                     break
                 else:
                     unseen += stride
