@@ -140,7 +140,8 @@ class _Choice:
             rank=rank, east=east, north=north, up=up, height_sigma=sigma, p_safe=float(hazards.p_safe[at]),
             p_relief=factors["relief"], p_obstacle=factors["obstacle"], p_ground=factors["ground"],
             p_wires=factors["wires"], resolved=float(hazards.resolved[at]), quality=float(hazards.quality[at]),
-            slope=float(hazards.slope[at]), roughness=float(hazards.roughness[at]), clearance=room, radius=self.lander.radius + room,
+            slope=float(hazards.slope[at]), roughness=float(hazards.roughness[at]), clearance=room,
+            radius=self.lander.radius + room,
             terrain=self._landing_class(east, north), heading=_heading(east, north, self.observer),
             doubt=doubt if candidate else None, look=look,
         )  # fmt: skip
