@@ -223,7 +223,7 @@ def test_sites_follow_rfc_7946(out: Path) -> None:
 
 
 PROPERTIES = {
-    *("kind", "rank", "p_safe", "p_relief", "p_obstacle", "p_ground", "quality", "slope_deg", "roughness_m"),
+    *("kind", "rank", "p_safe", "p_relief", "p_obstacle", "p_ground", "p_wires", "quality", "slope_deg", "roughness_m"),
     *("clearance_m", "radius_m", "resolved_m", "terrain", "heading_deg", "east_m", "north_m", "height_sigma_m"),
 }
 

@@ -115,6 +115,8 @@ def assess(
     judged, slope, roughness, step = ~(found.edge | found.unknown), found.slope, found.footprint.roughness, found.step
     del found  # a third of the memory needed to judge a large map
     p_wires = no_wire(wires, elevation.grid, lander)
+    nearer = np.fmin(f.settles_at, np.float32(0.5) * elevation.picture_sampling)  # shows a line twice as wide
+    settles_at = np.where(p_wires < 1, nearer, f.settles_at)
     for factor in (f.relief, f.obstacle, f.ground, p_wires):
         factor[~judged] = np.nan
     p = f.relief * f.obstacle * f.ground * p_wires
@@ -123,6 +125,6 @@ def assess(
     return HazardMap(
         grid=elevation.grid, slope=slope, roughness=roughness, step=step,
         clearance=clearance_of(reasons == 0, on.cell), p_safe=p, p_relief=f.relief, p_obstacle=f.obstacle,
-        p_ground=f.ground, p_wires=p_wires, resolved=f.resolved, settles_at=f.settles_at, quality=quality,
+        p_ground=f.ground, p_wires=p_wires, resolved=f.resolved, settles_at=settles_at, quality=quality,
         reasons=reasons, wires=tuple(wires),
     )  # fmt: skip

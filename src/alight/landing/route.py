@@ -71,7 +71,7 @@ class Obstructions:
     def of(cls, elevation: ElevationMap, wires: Sequence[Wire] = ()) -> Obstructions:
         """Derive obstacle heights from a map: trusted heights plus two sigma, block medians of doubtful heights.
 
-        Ground under a found wire is as high as the wire.
+        Ground under a wire, found or doubtful, is as high as the wire.
 
         In a tree's crown most heights are doubtful, by several metres. Single heights may be wrong, so each doubtful
         cell gets the median of its block of 0.5 m. `rise` is this median above the lowest heights of its own block of 2
@@ -86,8 +86,8 @@ class Obstructions:
         rise = np.where(elevation.trusted, np.nan, about - upsample(low, wide, shape))
         surely = elevation.height.astype(np.float64) + 2 * elevation.sigma.astype(np.float64)
         top = np.where(elevation.trusted, surely, np.where(np.isfinite(height), about, np.nan))
-        if found := [w.longer(WIRE_BEYOND) for w in wires if w.is_found]:
-            distance, up = nearest_wire(found, elevation.grid)
+        if wires:
+            distance, up = nearest_wire([w.longer(WIRE_BEYOND) for w in wires], elevation.grid)
             top = np.where(distance <= WIRE_BESIDE, np.fmax(top, up + WIRE_ABOVE), top)
         return cls(top, rise)
 
