@@ -76,10 +76,10 @@ def _route(r: RunResult) -> Contents:
 
 
 def _wires(r: RunResult) -> Contents:
-    wires = () if r.hazards is None else r.hazards.wires
-    if not wires:
-        return {"wires.geojson": "no wire was found"}
-    if not r.georeferenced:
+    if r.hazards is None:
+        return {"wires.geojson": "the ground was not judged"}
+    wires = r.hazards.wires
+    if wires and not r.georeferenced:  # that there is none needs no place on Earth
         return {"wires.geojson": NO_PLACE}
     return {"wires.geojson": lambda: vectors.json_bytes(vectors.wires_geojson(wires, r.local))}
 

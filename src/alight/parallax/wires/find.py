@@ -11,7 +11,7 @@ from alight.arrays import F32, Mask
 from alight.geometry import Grid
 from alight.parallax.views import ground_sampling
 from alight.parallax.wires.residuals import plane_views
-from alight.parallax.wires.segments import LineSums, Segments
+from alight.parallax.wires.segments import LineSums, Pieces
 from alight.parallax.wires.strands import LIKELY, STEEPEST, Strand, strands
 from alight.raster import nearest_known
 from alight.records import ElevationMap, Flag, View
@@ -48,13 +48,13 @@ def ground_of(elevation: ElevationMap, views: Sequence[View]) -> tuple[Grid, F32
     return grid, e.nearest_on(grid, height, plane), e.nearest_on(grid, seen), plane
 
 
-def all_segments(sums: LineSums) -> Segments | None:
+def all_segments(sums: LineSums) -> Pieces | None:
     """Return the pieces that any view shows and others confirm; None: there are none."""
     parts = [sums.segments(k, LOWEST, HIGHEST, LIKELY) for k in range(0, len(sums.views), SHOWN_BY)]
-    return Segments.joined(parts) if parts else None
+    return Pieces.joined(parts) if parts else None
 
 
-def _chance(one: Strand, s: Segments, sums: LineSums) -> float:
+def _chance(one: Strand, s: Pieces, sums: LineSums) -> float:
     """Return the probability that a strand is a wire."""
     if one.height < HIGH or abs(one.slope) > STEEPEST:
         return 0.0

@@ -32,7 +32,7 @@ STEP = 1.5  # cells by which a line moves in the farthest view from one height t
 
 
 @dataclass(frozen=True, eq=False)
-class Segments:
+class Pieces:
     """Pieces of wires, found by one view and confirmed by others, in no order."""
 
     own: I64  # (K,) number of the view that shows it
@@ -45,12 +45,12 @@ class Segments:
     sign: F64  # (K,) 1: brighter than the ground, -1: darker
     vague: F64  # (K,) metres of height that move it by a cell in the view that tells most
 
-    def of(self, which: Mask | I64) -> Segments:
+    def of(self, which: Mask | I64) -> Pieces:
         """Return some of the pieces."""
-        return Segments(**{k: v[which] for k, v in vars(self).items()})
+        return Pieces(**{k: v[which] for k, v in vars(self).items()})
 
     @classmethod
-    def joined(cls, parts: Sequence[Segments]) -> Segments:
+    def joined(cls, parts: Sequence[Pieces]) -> Pieces:
         """Return all pieces of all parts."""
         return cls(**{k: np.concatenate([getattr(p, k) for p in parts]) for k in vars(parts[0])})
 
@@ -106,7 +106,7 @@ class LineSums:
     def _centres(self) -> F64:
         return np.array([v.above for v in self.views])
 
-    def segments(self, own: int, lowest: float, highest: float, least: float) -> Segments:
+    def segments(self, own: int, lowest: float, highest: float, least: float) -> Pieces:
         """Return the lines of a view that other views confirm, from `lowest` to `highest` metres above the plane."""
         family, d, block, row = self._lines(own)
         strength = self.sums[own, family, d, block, row]
@@ -120,7 +120,7 @@ class LineSums:
         found = self._raised(lines, own, self._heights(own, lowest, highest)[None], FEWEST)
         share = 1.0 - found[:, 1] / self.views[own].above[2]
         middle_m = self.views[own].above[:2] + (shown - self.views[own].above[:2]) * share[:, None]
-        out = Segments(
+        out = Pieces(
             np.full(len(d), own), found[:, 0], found[:, 1], middle_m, along / lengths[:, None],
             0.5 * LONG * grid.cell * lengths * share, shown, np.sign(strength),
             self._vague(own, along / lengths[:, None], found[:, 1]),

@@ -9,7 +9,7 @@ import numpy as np
 
 from alight.arrays import F64, I64, Mask
 from alight.parallax.wires.residuals import PlaneView
-from alight.parallax.wires.segments import FEWEST, LONG, LineSums, Nearby, Segments
+from alight.parallax.wires.segments import FEWEST, LONG, LineSums, Nearby, Pieces
 
 SURE = 5.0  # score of the best piece of a wire
 LIKELY = 3.5  # score of its other pieces
@@ -45,7 +45,7 @@ class Strand:
     members: Mask  # (K,) its pieces
 
     @classmethod
-    def of(cls, s: Segments, k: int) -> Strand:
+    def of(cls, s: Pieces, k: int) -> Strand:
         """Return a strand of one piece."""
         half = float(s.half[k])
         return cls(s.place[k], s.along[k], float(s.height[k]), 0.0, -half, half, np.arange(len(s.own)) == k)
@@ -60,7 +60,7 @@ class Strand:
         """Horizontal unit vector across, (2,)."""
         return np.array([-self.along[1], self.along[0]])
 
-    def gathers(self, s: Segments, cell: float) -> Mask:
+    def gathers(self, s: Pieces, cell: float) -> Mask:
         """Return the mask of the pieces (K,) that continue the strand."""
         a, b = self._at(s.place)
         vague = VAGUE * s.vague
@@ -68,7 +68,7 @@ class Strand:
         out &= np.abs(s.height - self.height - self.slope * a) < HIGHER[0] + HIGHER[1] * self.height + vague
         return np.asarray(out & (a > self.low - GAP) & (a < self.high + GAP))
 
-    def fitted(self, s: Segments, members: Mask) -> Strand:
+    def fitted(self, s: Pieces, members: Mask) -> Strand:
         """Return the strand through its pieces, weighted by their scores."""
         own = s.of(members)
         a, b = self._at(own.place)
@@ -93,11 +93,11 @@ class Strand:
         at = np.array([self.low - beyond, self.high + beyond])
         return np.column_stack([self.place + at[:, None] * self.along, self.height + self.slope * at])
 
-    def _sign(self, s: Segments) -> float:
+    def _sign(self, s: Pieces) -> float:
         """Return 1 if most pieces are brighter than the ground, else -1."""
         return float(np.sign(s.sign[self.members].sum()) or 1.0)
 
-    def shown(self, s: Segments, sums: LineSums) -> list[Nearby]:
+    def shown(self, s: Pieces, sums: LineSums) -> list[Nearby]:
         """Return what the views show along the strand, a piece apart, so that the noise is independent."""
         own, apart = _most_common(s.own[self.members]), 1.6 * float(np.median(s.half[self.members]))
         count = max(int((self.high - self.low) / apart), 1)
@@ -110,7 +110,7 @@ class Strand:
             np.asarray(self.height + self.slope * at),
         )
 
-    def evidence(self, s: Segments, sums: LineSums) -> float:
+    def evidence(self, s: Pieces, sums: LineSums) -> float:
         """Return the sum of the scores along the strand over the root of their number: noise of one score.
 
         One lucky piece of ground makes no wire.
@@ -118,7 +118,7 @@ class Strand:
         scores = [n.score for n in self.shown(s, sums)]
         return float(np.sum(scores) / np.sqrt(len(scores)))
 
-    def followed(self, s: Segments, sums: LineSums) -> Strand:
+    def followed(self, s: Pieces, sums: LineSums) -> Strand:
         """Return the strand from end to end: to where it is half as strong, over what too few views show."""
         own, sign = _most_common(s.own[self.members]), self._sign(s)
         stride = STRIDE * LONG * sums.views[0].grid.cell
@@ -141,7 +141,7 @@ class Strand:
             ends.append(at)
         return replace(self, low=ends[0], high=ends[1])
 
-    def explains(self, s: Segments, views: Sequence[PlaneView]) -> Mask:
+    def explains(self, s: Pieces, views: Sequence[PlaneView]) -> Mask:
         """Return the mask of the pieces (K,) that lie on or across its image in their own views."""
         centres = np.array([v.above for v in views])[:, None]
         cells, ends = np.array([v.grid.cell for v in views])[s.own], self.ends(3.0)
@@ -162,7 +162,7 @@ def _most_common(numbers: I64) -> int:
     return int(np.bincount(numbers).argmax())
 
 
-def _support(s: Segments, cell: float) -> F64:
+def _support(s: Pieces, cell: float) -> F64:
     """Return the sum of the scores (K,) of all pieces that lie on the line of each: a wire is shown again and again."""
     place, along = s.place.astype(np.float32), s.along.astype(np.float32)
     away = place[None] - place[:, None]  # (K, K, 2)
@@ -180,7 +180,7 @@ def _support(s: Segments, cell: float) -> F64:
     return np.asarray(near @ s.score)
 
 
-def strands(s: Segments, views: Sequence[PlaneView], most: int = 40) -> list[Strand]:
+def strands(s: Pieces, views: Sequence[PlaneView], most: int = 40) -> list[Strand]:
     """Return up to `most` strands, the one with the best supported piece first."""
     free, out = s.score >= LIKELY, list[Strand]()
     cell = views[0].grid.cell if views else 0.0
