@@ -70,7 +70,7 @@ def settings_of(settings: SettingsLike = None, lander: Lander | None = None) -> 
 
 
 def _plain_value(key: str, value: Any) -> Any:
-    """Return a setting's value (a model, a path, a NumPy scalar or array, or plain data) as JSON types."""
+    """Return the value of the setting `key` (a model, path, NumPy scalar or array, or plain data) as JSON types."""
     import json
 
     def plain(value: Any) -> Any:
@@ -225,6 +225,7 @@ def demo(out: str | Path = "out/demo", seed: int = 1, progress: Progress = _quie
 
     Args:
         out: output folder; an earlier run in it is replaced.
+        seed: seed of the ground and the flight.
         overwrite: whether to write into a folder that holds other files.
 
     Raises:

@@ -58,7 +58,7 @@ def _usual(name: str) -> Path | None:
 
 
 def _temporary(source: Path | None) -> Path | None:
-    """Create a private folder for this process and its children, with a copy of `source`; None if that fails."""
+    """Create a private folder for this process and its children, with a copy of folder `source`; None on failure."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="alight-kernels-"))
     except OSError:

@@ -91,7 +91,7 @@ def disc_spans(radius_cells: float) -> I64:
 
 
 def disc_mask(spans: I64) -> U8:
-    """Return the disc as a (2 n + 1, 2 n + 1) array of ones and zeros, the format of OpenCV's filters."""
+    """Return the disc of `disc_spans` as a (2 n + 1, 2 n + 1) array of ones and zeros, as OpenCV's filters need it."""
     reach = spans.size // 2
     return (np.abs(np.arange(-reach, reach + 1)) <= spans[:, None]).astype(np.uint8)
 
@@ -113,7 +113,7 @@ def _cells_in(shape: tuple[int, ...], radius: float, cell: float) -> F32:
 
 
 def disc_mean(values: F32, radius: float, cell: float) -> F32:
-    """Compute the mean of the known values in the disc around every cell, or NaN; `radius`, `cell`: metres."""
+    """Compute the mean of the known values in each cell's disc; NaN if none is known; `radius`, `cell`: metres."""
     known = np.isfinite(values)
     if known.all():
         return np.asarray(_disc_sums(values, radius, cell) / _cells_in(values.shape, radius, cell), np.float32)
@@ -143,7 +143,7 @@ def disc_any(mask: Mask, radius: float, cell: float) -> Mask:
 
 
 def disc_crosses_edge(shape: tuple[int, int], radius: float, cell: float) -> Mask:
-    """Return the mask of cells whose disc reaches beyond the map; `radius`, `cell`: metres."""
+    """Return the mask of cells whose disc reaches beyond a map of `shape`; `radius`, `cell`: metres."""
     reach = disc_spans(radius / cell).size // 2
     out = np.ones(shape, dtype=np.bool_)
     out[reach : shape[0] - reach, reach : shape[1] - reach] = False
@@ -242,7 +242,7 @@ def ellipse(reach: int) -> U8:
 
 
 def close_mask(mask: Mask, reach: int) -> Mask:
-    """Close the mask (binary closing): fill gaps narrower than twice the reach; `reach` in cells."""
+    """Close the mask (binary closing): fill gaps narrower than 2 * `reach` cells."""
     closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, ellipse(reach), borderValue=0)
     return np.asarray(closed > 0)
 
@@ -353,7 +353,7 @@ def log_levels(levels: U8) -> F32:
 
 
 def log_brightness(rgb: U8) -> F32:
-    """Compute the natural logarithm of an RGB picture's brightness: (R, C, 3) to (R, C)."""
+    """Compute `log_levels` of the grey levels of an RGB picture: (R, C, 3) to (R, C)."""
     return log_levels(grey_levels(rgb))
 
 
@@ -366,7 +366,11 @@ class BlockLight(NamedTuple):
 
 
 def _strips(rgb: U8, inner: int) -> Iterator[tuple[slice, U8, F32]]:
-    """Yield rows, pixels and the non-black share of each block, in strips of 256 rows of blocks to save memory."""
+    """Yield the picture in strips of 256 rows of blocks, to save memory; `inner`: pixels per side of a block.
+
+    Yields:
+        the slice of block rows, their pixels, and the (rows, cols) share of non-black pixels in each block.
+    """
     for top in range(0, rgb.shape[0] // inner, 256):
         part = rgb[top * inner : (top + 256) * inner]
         yield slice(top, top + 256), part, block_mean((part[..., 1] > 0).astype(np.float32), inner)

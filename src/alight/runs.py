@@ -118,7 +118,10 @@ def result_of(
     timings: Mapping[str, Sequence[float]],
     photos: Sequence[PhotoRow] = (),
 ) -> RunResult:
-    """Return a run's result for the output folder and the report; `timings`: seconds of every step, by stage."""
+    """Return a run's result for the output folder and the report, from the decision `d` on the whole run.
+
+    `timings`: seconds of every step, by stage; `photos`: one row per photo, empty for a flight.
+    """
     found: dict[str, Any] = vars(d) | {
         "notes": {**source.notes, **d.notes}, "warnings": [*source.warnings, *d.warnings],
     }  # fmt: skip

@@ -46,7 +46,10 @@ class Shutter:
         return cls(imaging.exposure_time, imaging.line_time, imaging.moments)
 
     def opened(self, rows: int, moment: int) -> F64:
-        """Return when the rows record instant `moment` of the exposure, (rows,) s from its middle; (1,): together."""
+        """Return when each row records instant `moment` (an index) of the exposure, (rows,) s from its middle.
+
+        (1,) if all rows record it together.
+        """
         part = (moment + 0.5) / self.moments - 0.5
         lines = np.arange(rows) - 0.5 * (rows - 1) if self.line_time else np.zeros(1)
         return np.asarray(part * self.exposure + self.line_time * lines)
@@ -88,7 +91,7 @@ class Eye:
         """Return the linear light (H, W, 3) of one exposure.
 
         Args:
-            poses: the camera's poses as a function of time; a Pose is a static camera.
+            poses: `world_from_cam` as a function of time (s); a Pose is a static camera.
             time: middle of the exposure, s.
             bodies: moving objects that are drawn in addition to those of the world.
 
@@ -108,7 +111,7 @@ class Eye:
         return out
 
     def footprint(self, world: SceneWorld, turns: F64, places: F64) -> tuple[float, float, float, float]:
-        """Return west, south, east, north (m) of the ground seen at rotations (N, 3, 3) and positions (N, 3)."""
+        """Return west, south, east, north (m) of the ground seen; `turns` (N, 3, 3), `places` (N, 3): camera poses."""
         edge = _border(self.rays[0])
         ends = [_reach(world, turns[k] @ edge.T, places[k]) for k in {0, len(turns) - 1}]
         spots = np.concatenate([*ends, places[:, :2]])
@@ -157,7 +160,10 @@ class Eye:
 
 
 def _level(world: SceneWorld, bounds: Box, up: float, pixel: float) -> int:
-    """Return the level of `SceneWorld.patch` whose blocks are at most a pixel (rad) wide, seen from height `up` (m)."""
+    """Return the level of `SceneWorld.patch` with blocks at most a pixel wide.
+
+    `bounds`: west, south, east, north, metres. `up`: height of the camera, metres. `pixel`: width of a pixel, rad.
+    """
     cells = (up - world.usual_height(bounds)) * pixel / world.cell
     return min(max(math.floor(math.log2(max(cells, 1e-3))), 0), COARSEST)
 
@@ -181,7 +187,7 @@ def _border(rays: F32) -> F64:
 
 
 def _reach(world: SceneWorld, rays: F64, place: F64) -> F64:
-    """Return (N, 2) east and north where rays (3, N) from `place` meet the world's lowest height, within a limit."""
+    """Return (N, 2) east, north where world rays (3, N) from `place` (3,) reach the lowest height, within a limit."""
     height = max(float(place[2]) - world.low, 1.0)
     flat = np.maximum(np.hypot(rays[0], rays[1]), 1e-9)
     away = np.minimum(np.where(rays[2] < 0, height * flat / np.maximum(-rays[2], 1e-9), np.inf), REACH * height)
@@ -189,7 +195,7 @@ def _reach(world: SceneWorld, rays: F64, place: F64) -> F64:
 
 
 def _near(boxes: F64, patch: GroundPatch) -> F64:
-    """Return the boxes that are on the patch at some time, or whose shadow may fall on it."""
+    """Return the boxes (T, M, 12) that are on the patch at some time, or whose shadow may fall on it."""
     x, y = patch.grid.xy()
     over = (boxes[..., 0] > x[0] - 30) & (boxes[..., 0] < x[-1] + 30) & (boxes[..., 1] > y[-1] - 30)
     over &= boxes[..., 1] < y[0] + 30

@@ -16,7 +16,7 @@ def _quarters(layer: NDArray[Any]) -> tuple[NDArray[Any], ...]:
 
 
 def mean_of(layer: F32, level: int) -> F32:
-    """Return the (R >> level, C >> level, ...) means of a layer over blocks of 2^level x 2^level cells."""
+    """Return the (R >> level, C >> level, ...) means of a layer (R, C, ...) over blocks of 2^level x 2^level cells."""
     for _ in range(level):
         a, b, c, d = _quarters(layer)
         layer = np.float32(0.25) * ((a + b) + (c + d))
@@ -24,7 +24,7 @@ def mean_of(layer: F32, level: int) -> F32:
 
 
 def most_of(codes: NDArray[np.uint16], level: int) -> NDArray[np.uint16]:
-    """Return the (R >> level, C >> level) codes that are most frequent in each block, found in steps of 2 x 2 cells."""
+    """Return the (R >> level, C >> level) most frequent code of each block, found by halving `level` times."""
     for _ in range(level):
         a, b, c, d = _quarters(codes)
         codes = np.where((a == b) | (a == c) | (a == d), a, np.where((b == c) | (b == d), b, d))
@@ -32,7 +32,7 @@ def most_of(codes: NDArray[np.uint16], level: int) -> NDArray[np.uint16]:
 
 
 def mean_shadow(margin: F32, level: int) -> F32:
-    """Return the (R >> level, C >> level) shadow margin of each block that gives the mean sunlight of its cells."""
+    """Return shadow margins, (R >> level, C >> level) metres, each of which gives the mean sunlight of its block."""
     if level == 0:
         return margin
     t = np.clip((margin - SHADED) / (LIT - SHADED), 0.0, 1.0)

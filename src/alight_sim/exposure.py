@@ -67,7 +67,7 @@ class Sensor:
 
     @classmethod
     def of(cls, camera: Camera, imaging: Imaging, seeds: Seeds) -> Sensor:
-        """Return the sensor of a camera, with dust and hot pixels drawn from its own seeds."""
+        """Build the sensor of a camera, with dust and hot pixels drawn from `seeds`."""
         dust, hot = (np.random.default_rng(s) for s in seeds.spawn(2))
         size = (camera.height, camera.width, 3)
         count = round(imaging.hot_pixels * camera.height * camera.width)
@@ -76,9 +76,9 @@ class Sensor:
         return cls(imaging, _falloff(camera, imaging, dust), hot.integers(0, size, (count, 3)).astype(np.float32), tone)
 
     def expose(self, radiance: F32, gain: F64, key: int, covered: float = 0.0) -> U8:
-        """Return the picture (H, W, 3), RGB, from linear light (H, W, 3), with gains (3,) and noise of seed `key`.
+        """Return the picture (H, W, 3), RGB, from linear light `radiance` (H, W, 3).
 
-        `covered`: share of the light that a cover keeps out.
+        `gain`: (3,) red, green, blue. `key`: seed of the noise. `covered`: share of the light that a cover keeps out.
         """
         s, light = self.imaging, radiance
         if s.blur_px > 0:
@@ -158,9 +158,10 @@ def controlled(imaging: Imaging, before: ControlStep | None, metered: float, sec
 
 
 def irregular_gauss_markov(rng: np.random.Generator, seconds: F64, width: int, tau: float) -> F64:
-    """Return (N, width) Gauss-Markov noise of unit deviation and correlation time `tau` (s) at ascending times.
+    """Return (N, width) Gauss-Markov noise of unit deviation at ascending times (N,), s; each column is independent.
 
-    It is drawn every tau / 20, whatever the times, and interpolated. So a lost exposure changes no other noise.
+    `tau`: correlation time, s. The noise is drawn every tau / 20, whatever the times, and interpolated. So a lost
+    exposure changes no other noise.
     """
     step = tau / 20.0
     first = math.floor(float(seconds.min(initial=0.0)) / step)

@@ -48,7 +48,7 @@ class Calibration(Section):
     baseline: float = Field(0.0, gt=-0.9, lt=0.9, description="share by which the cameras are claimed too far apart")
 
     def claim(self, cam: RigCamera, first: RigCamera) -> RigCamera:
-        """Return a camera as the calibration describes it; a baseline error moves it along its offset from `first`."""
+        """Return camera `cam` as the calibration describes it; a baseline error changes its offset from `first`."""
         lens = cam.camera
         claimed = replace(
             lens,
@@ -94,7 +94,7 @@ class Faults(Section):
         return Rig(tuple(replace(c, body_from_cam=turn @ c.body_from_cam) for c in cams))
 
     def cover(self, seconds: float, cam: int) -> float:
-        """Return the share of the light that a cover keeps out of a camera at a time (s)."""
+        """Return the share of the light that a cover keeps out of the camera of index `cam` at a time (s)."""
         over = [c.share for c in self.covered if c.camera in (None, cam) and bool(c.holds(np.array([seconds])).item())]
         return max(over, default=0.0)
 
@@ -116,7 +116,7 @@ class Exposures:
 
 
 def exposures(faults: Faults, beat_ns: I64, cameras: int, seeds: np.random.SeedSequence) -> Exposures:
-    """Return the exposures planned at times `beat_ns` (N,), with the faults of timing and loss."""
+    """Return the exposures planned at `beat_ns` (N,), with faults of timing and loss; `cameras`: their number."""
     rngs = [np.random.default_rng(s) for s in seeds.spawn(6)]
     n, start = len(beat_ns), int(beat_ns[0])
     period = float(np.diff(beat_ns).min(initial=10**12))

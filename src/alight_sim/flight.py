@@ -56,7 +56,7 @@ class SimulatedFlight:
 
     @property
     def name(self) -> str:
-        """Name of the scene and seed of the flight."""
+        """Name of the scene, and seed of the flight."""
         return f"{self.world.name}-{self.seed}"
 
     @property
@@ -200,7 +200,7 @@ class SimulatedFlight:
         return self.trajectory.pose((t_ns - START_NS) * 1e-9)
 
     def camera_at(self, cam: int) -> Poses:
-        """Return a function from the trajectory's seconds (N,) to true `world_from_cam`: rotations and positions."""
+        """Return the true poses of camera `cam` as a function of times (N,), seconds of the trajectory."""
         body_from_cam = self.true_rig.cameras[cam].body_from_cam
 
         def poses(seconds: F64) -> tuple[F64, F64]:
@@ -237,7 +237,7 @@ class SimulatedFlight:
         return Frame(int(x.stamp_ns[k]), images, str(x.true_ns[k]))
 
     def image(self, index: int, cam: int) -> U8:
-        """Draw one picture (H, W, 3), RGB, even of a lost exposure; the order of calls does not matter."""
+        """Draw the picture (H, W, 3), RGB, of exposure `index` and camera `cam`, even if it was lost."""
         seconds = float(self.since(self.frame_times[index : index + 1])[0])
         light = self.eyes[cam].radiance(self.world, self.camera_at(cam), seconds, Shutter.of(self.imaging))
         key = int(self.seeds(IMAGE, index, cam).generate_state(1, np.uint64)[0])
@@ -261,7 +261,7 @@ class SimulatedFlight:
         return [gains(self.imaging, seconds, self.seeds(GAIN, cam), self._metered(cam, seconds)) for cam in cams]
 
     def _metered(self, cam: int, seconds: F64) -> F64 | None:
-        """Return the (N,) mean light of all exposures, from pictures of few pixels; None if exposure control is off."""
+        """Return the (N,) mean light of a camera at times (N,), from tiny pictures; None: exposure control is off."""
         if not self.imaging.auto:
             return None
         lens, at = self.true_rig.cameras[cam].camera, self.camera_at(cam)
@@ -269,12 +269,12 @@ class SimulatedFlight:
         return np.array([float(eye.radiance(self.world, at, float(s)).mean()) for s in seconds])
 
     def seeds(self, *key: int) -> np.random.SeedSequence:
-        """Return the seeds of the random source with this key."""
+        """Return the seeds of one random source; `key`: its constant and, for example, the index of the camera."""
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
 
 def flight_notes(rig: Rig, world: World, imu: ImuErrors) -> dict[str, Any]:
-    """Return facts about a simulated flight, as notes for the report."""
+    """Return facts about a simulated flight with a rig, a world and an IMU, as notes for the report."""
     lens = rig.cameras[0].camera
     return {
         "cameras": [c.name for c in rig.cameras],

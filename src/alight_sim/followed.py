@@ -68,7 +68,7 @@ class ReportedTrack:
         return (begin, end) if begin < end else None
 
     def at(self, t_ns: float) -> tuple[F64, F64]:
-        """Return the attitude (3, 3) and position (3,) at a time within the span."""
+        """Return the attitude `world_from_body` (3, 3) and position (3,) at a time within `span_ns`."""
         (t0, a), (t1, b) = _about(self._turns, t_ns, lambda turn: turn[0])
         p, q = _about(self.places, t_ns, lambda place: place.t_ns)
         return np.asarray(slerp(a, b, _share(t_ns, t0, t1))), _cubic(p, q, t_ns)
@@ -116,7 +116,10 @@ class FollowedCameras:
         self.track, self._offset, self._shift_ns, self._cameras.next = ReportedTrack(), None, None, 0
 
     def place(self, position: F64, above_home: float) -> None:
-        """Set the reported frame's offset to the scene, once, by a position (3,) and its height above the home, m."""
+        """Set the offset from the reported frame to the scene; only the first call has an effect.
+
+        `position`: (3,) metres, reported. `above_home`: its height above the home, metres.
+        """
         if self._offset is None:
             self._offset = self._home + np.array([0.0, 0.0, above_home]) - position
 
@@ -168,7 +171,7 @@ def _drop(kept: deque[T], before_ns: int, time_of: Callable[[T], int]) -> None:
 
 
 def _about(kept: deque[T], t_ns: float, time_of: Callable[[T], int]) -> tuple[T, T]:
-    """Return the last item before a time and the first one after it."""
+    """Return the last item of `kept` before a time, and the first after it; `time_of`: returns an item's time, ns."""
     k = min(max(bisect_right(kept, t_ns, key=time_of), 1), len(kept) - 1)
     return kept[k - 1], kept[k]
 

@@ -17,9 +17,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
 
 
 def group_of(scene: str) -> str:
-    """The group of a built-in scene.
+    """Return the group of a built-in scene.
 
     Raises:
-        KeyError: it belongs to none.
+        KeyError: the scene belongs to no group.
     """
     return {name: group for group, names in GROUPS.items() for name in names}[scene]

@@ -23,7 +23,7 @@ def reference() -> str:
 
 
 def _sections(model: type[Section], path: str) -> Iterator[tuple[str, type[Section]]]:
-    """Yield path and model of each section in `model`, depth first, except the things; `path`: prefix of the paths."""
+    """Yield key path and model of each section in `model`, depth first, except things; `path`: prefix of all paths."""
     for name, field in model.model_fields.items():
         inner = section_of(field)
         if inner is not None and "thing" not in inner.model_fields:

@@ -87,7 +87,7 @@ def _refuse(out: Path, overwrite: bool) -> None:
 
 
 def _refuse_too_large(flight: SimulatedFlight, out: Path, image: str) -> None:
-    """Raise OutputError if the images do not fit on the disk, before the first of them is drawn."""
+    """Raise OutputError if the pictures of a flight do not fit on the disk of `out`; `image`: `jpg` or `png`."""
     pixels = sum(c.camera.width * c.camera.height for c in flight.rig.cameras)
     needed = LEAST_BYTES[image] * flight.length * pixels
     there = next((p for p in (out, *out.resolve().parents) if p.is_dir()), Path("/"))
@@ -126,7 +126,7 @@ def _camera_yaml(cam: RigCamera, rate_hz: float) -> dict[str, Any]:
 
 
 def write_calibration(rig: Rig, rate_hz: float, root: Path) -> None:
-    """Write the calibration of all cameras, and create the folders for their images."""
+    """Write the calibration of all cameras, and create the folders for their images, in the log's folder `root`."""
     for cam in rig.cameras:
         _dump(root / cam.name / "sensor.yaml", _camera_yaml(cam, rate_hz))
         (root / cam.name / "data").mkdir()
@@ -247,7 +247,10 @@ def _write_truth(flight: SimulatedFlight, root: Path) -> None:
 
 
 def _raster(flight: SimulatedFlight, path: Path, rows: Callable[[slice], NDArray[Any]], dtype: str, no: float) -> None:
-    """Write a raster in bands of rows, so that no large world is copied in memory; `no`: the value of missing cells."""
+    """Write a raster of the flight's world, in bands of rows to save memory.
+
+    `rows`: returns the values of a slice of rows. `no`: the value of missing cells.
+    """
     grid = flight.truth.grid
     profile = {
         "driver": "GTiff", "height": grid.rows, "width": grid.cols, "count": 1, "dtype": dtype, "nodata": no,

@@ -70,7 +70,7 @@ class Mover:
 
     @cached_property
     def starts(self) -> F64:
-        """(M,) distance of each car along the path at time 0, metres."""
+        """Distance of each car along the path at time 0, (M,) metres."""
         length = self.corners[1][-1]
         count = max(1, int(length / self.traffic.gap))
         rng = np.random.default_rng(np.random.SeedSequence([self.seed & 0xFFFFFFFF, 77]))
@@ -78,7 +78,7 @@ class Mover:
 
     @cached_property
     def paint(self) -> F64:
-        """(M, 3) linear RGB of each car."""
+        """Linear RGB colour of each car, (M, 3)."""
         if self.traffic.colour is not None:
             return np.tile(np.array(self.traffic.colour), (len(self.starts), 1))
         rng = np.random.default_rng(np.random.SeedSequence([self.seed & 0xFFFFFFFF, 78]))
@@ -101,9 +101,10 @@ class Mover:
 
 
 def car_boxes(places: F64, heading: F64, size: tuple[float, float, float], paint: F64) -> F64:
-    """Return the (T, 2 M, 12) body and cabin of cars (`kernels.boxes`) at places (T, M, 3) and headings (T, M).
+    """Return the (T, 2 M, 12) boxes of cars, a body and a cabin per car, in the format of `kernels.boxes`.
 
-    `heading`: rad from east to north. `size`: length, width, height, metres. `paint` (M, 3): linear RGB.
+    `places`: (T, M, 3) metres, centres of the base. `heading`: (T, M) rad from east to north. `size`: length, width,
+    height, metres. `paint`: (M, 3) linear RGB.
     """
     length, width, height = size
     out = np.zeros((*heading.shape, 2, NUMBERS))

@@ -50,7 +50,10 @@ class OracleLander:
 
     @classmethod
     def of(cls, numbers: Mapping[str, Any], **more: Any) -> OracleLander:
-        """Return a lander from a mapping, such as dumped settings, without keys in `ASIDE`; `more`: further fields."""
+        """Build a lander from a mapping of its fields, such as dumped settings; `more`: further fields.
+
+        Keys in `ASIDE` are ignored.
+        """
         return cls(**{k: v for k, v in numbers.items() if k not in ASIDE}, **more)
 
     @property
@@ -74,7 +77,11 @@ class TrueSurface:
 
     @classmethod
     def of(cls, world: World, box: Box, seconds: float | None = None, bodies: Sequence[Moving] = ()) -> TrueSurface:
-        """Return the surface of a box (west, south, east, north), with moving objects at a time (s; None: without)."""
+        """Return the surface of a box (west, south, east, north).
+
+        `seconds`: time for the positions of moving objects; None: all are left out. `bodies`: moving objects besides
+        those of the world.
+        """
         truth = world.truth(box)
         height, label = truth.height[::-1].astype(np.float64), truth.label[::-1].copy()
         grid = truth.grid
@@ -145,8 +152,8 @@ class Touchdown:
 class SafePlaces:
     """Safety of touchdowns at centres on a grid, each at several headings."""
 
-    east: F64  # (C,)
-    north: F64  # (R,)
+    east: F64  # (C,) metres
+    north: F64  # (R,) metres
     headings: F64  # (H,) rad clockwise from north
     safe_at: NDArray[np.bool_]  # (R, C, H)
 
@@ -161,7 +168,7 @@ class SafePlaces:
         return np.asarray(self.safe_at.any(axis=2))
 
     def with_margin(self, margin: float) -> Mask:
-        """Return the (R, C) mask of centres with no unsafe centre within `margin` m; beyond the grid all are unsafe."""
+        """Return the (R, C) mask of centres with no unsafe centre within `margin` metres; beyond the grid all are."""
         step = float(self.east[1] - self.east[0]) if len(self.east) > 1 else math.inf
         k = math.floor(margin / step + 1e-9)
         padded = np.pad(self.safe, k, constant_values=False)
@@ -218,7 +225,7 @@ def safe_places(
     """Judge touchdowns at centres `step` metres apart in an area (west, south, east, north); see `judge_touchdown`.
 
     Args:
-        headings: number of headings, a golden angle apart; without gear only one is tried.
+        headings: number of headings, a golden angle apart; a lander without gear is judged at one heading only.
         seconds: time for the positions of the world's movers; None: they are left out.
     """
     west, south, right, top = area
@@ -245,7 +252,7 @@ class _Found(NamedTuple):
 
 
 def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: float) -> _Found:
-    """Judge centres (N, 2) at one heading against all limits except sink and drift."""
+    """Judge touchdowns at centres (N, 2) and one heading (rad) against all limits except sink and drift."""
     disc = _disc(surface, centres, lander.radius, heading)
     plane, roughness = _fitted(disc)
     planes, contact = plane[:, None], disc.label
@@ -279,9 +286,10 @@ def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: f
 def _cells(
     surface: TrueSurface, centres: F64, radius: float, beside: tuple[int, int] = (0, 0)
 ) -> tuple[F64, F64, F64, U8, Mask]:
-    """Return the cells around centres (N, 2), each (N, M): east, north of the centre, height, class, within the radius.
+    """Return the cells around centres (N, 2): east and north of the centre, height, class, and a mask, each (N, M).
 
     Args:
+        radius: metres; the mask is true for cells whose centre is within it.
         beside: rows and columns by which all cells are shifted, to compare them with their neighbours.
     """
     k = math.ceil(radius / surface.cell) + 1
@@ -307,7 +315,7 @@ def _disc(surface: TrueSurface, centres: F64, radius: float, heading: float) -> 
 
 
 def _largest_step(surface: TrueSurface, centres: F64, radius: float) -> F64:
-    """Return the (N,) largest step between neighbouring cells of the discs about centres (N, 2), metres."""
+    """Return the (N,) largest step between neighbouring cells of discs of `radius` (m) at centres (N, 2), metres."""
     _, _, here, _, inside = _cells(surface, centres, radius)
     worst = np.zeros(len(centres))
     for beside in ((1, 0), (0, 1)):
@@ -317,7 +325,7 @@ def _largest_step(surface: TrueSurface, centres: F64, radius: float) -> F64:
 
 
 def _fitted(disc: Disc) -> tuple[F64, F64]:
-    """Return (N, 3) least-squares planes (height at the centre, slope forward, slope left), (N,) largest deviation."""
+    """Return (N, 3) least-squares planes (height at the centre, slopes forward, left) and (N,) largest deviations."""
     w = disc.inside.astype(np.float64)
     base = np.average(disc.height, axis=1, weights=w)[:, None]
     terms = np.stack([np.ones_like(w), disc.forward, disc.left], -1)
@@ -330,7 +338,7 @@ def _fitted(disc: Disc) -> tuple[F64, F64]:
 
 
 def _highest_above(disc: Disc, planes: F64) -> F64:
-    """Return the (N,) largest height of the ground above planes (N, P, 3), metres; -inf if no cell is inside."""
+    """Return the (N,) largest height of a cell above any of P planes (N, P, 3), metres; -inf: no cell is inside."""
     worst = np.full(len(planes), -math.inf)
     for k in range(planes.shape[1]):
         p = planes[:, k, :, None]

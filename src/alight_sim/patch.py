@@ -61,7 +61,7 @@ class GroundPatch:
 
     @cached_property
     def skin_place(self) -> F64:
-        """(3,) east and north of block (0, 0), and block size of the layers other than height, metres."""
+        """Placement of all layers except height: east and north of block (0, 0), and the block size; (3,) metres."""
         shift = 0.5 * ((1 << self.level) - 1) * self.grid.cell
         return np.asarray(self.place * (1, 1, 1 << self.level) + np.array([shift, -shift, 0.0]))
 
@@ -78,13 +78,13 @@ class GroundPatch:
 
 
 def _is_plain(codes: NDArray[np.uint16]) -> Mask:
-    """Return the (R, C) mask of cells whose neighbours within `WIDE` cells have the same code."""
+    """Return the mask of cells whose neighbours within `WIDE` cells have the same code; all (R, C)."""
     square = np.ones((2 * WIDE + 1, 2 * WIDE + 1), np.uint8)
     return np.asarray(cv2.erode(codes, square) == cv2.dilate(codes, square))
 
 
 def _is_step(height: F32) -> Mask:
-    """Return the (R, C) mask of cells that begin a 2 x 2 block with heights `EDGE` or more apart; false at the rim."""
+    """Return the mask of top left cells of 2 x 2 blocks whose heights differ by `EDGE` or more; all (R, C)."""
     out = np.zeros(height.shape, bool)
     a, b, c, d = height[1:-2, 1:-2], height[1:-2, 2:-1], height[2:-1, 1:-2], height[2:-1, 2:-1]
     top, low = np.maximum(np.maximum(a, b), np.maximum(c, d)), np.minimum(np.minimum(a, b), np.minimum(c, d))
@@ -93,6 +93,6 @@ def _is_step(height: F32) -> Mask:
 
 
 def _max_about(pyramid: F32, offsets: NDArray[np.int64], widths: NDArray[np.int64]) -> F32:
-    """Return the pyramid with each node replaced by the maximum over the 3 x 3 nodes around it."""
+    """Return a pyramid with each node replaced by the maximum over 3 x 3 nodes; `offsets`, `widths`: of its levels."""
     levels = (p.reshape(-1, w) for p, w in zip(np.split(pyramid, offsets[1:]), widths, strict=True))
     return np.concatenate([cv2.dilate(p, np.ones((3, 3), np.uint8)).ravel() for p in levels])

@@ -129,7 +129,7 @@ class PointMass:
             self.heading += max(-self.limits.turn * dt, min(self.limits.turn * dt, left))
 
     def _follow(self, dt: float, commanded: F64) -> None:
-        """Follow the commanded acceleration with two lags in series, so that attitude and turn rate are continuous."""
+        """Follow an acceleration, (3,) m/s^2, for `dt` seconds, with two lags so that the turn rate is continuous."""
         keep = math.exp(-dt / self.limits.lag) if self.limits.lag > 0 else 0.0
         self._thrust = commanded + keep * (self._thrust - commanded)
         self._acceleration = self._thrust + keep * (self._acceleration - self._thrust)

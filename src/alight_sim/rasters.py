@@ -88,7 +88,7 @@ class GroundRasters:
 
 
 def raster_height_range(grid: Grid, height: F32, box: Box) -> tuple[float, float]:
-    """Return the lowest and highest height of cells in a box, metres; outside the grid the nearest cells are used."""
+    """Return the lowest and highest of heights (R, C) in a box, metres; outside the grid the nearest cells are used."""
     west, south, east, north = box
     rows, cols = grid.index(np.array([west, east]), np.array([north, south]))
     r0, r1 = (int(v) for v in np.clip([np.floor(rows[0]), np.ceil(rows[1])], 0, grid.rows - 1))
@@ -123,7 +123,10 @@ def raster_middle(raster: SceneRaster) -> LocalFrame:
 
 
 def reach(raster: SceneRaster, local: LocalFrame, cell: float) -> Box:
-    """Return the largest box of whole cells about an origin that lies in the height raster, which may be rotated."""
+    """Return the largest box that lies in the height raster, which may be rotated.
+
+    Its sides are whole multiples of `cell` (m) from the origin of `local`.
+    """
     with _opened(raster.height, "height raster") as dataset:
         t = np.linspace(0.0, 1.0, 33)
         a, b, c, d, e, f = dataset.transform[:6]
@@ -146,7 +149,7 @@ def reach(raster: SceneRaster, local: LocalFrame, cell: float) -> Box:
 
 
 def load_rasters(raster: SceneRaster, local: LocalFrame, extent: Box, cell: float) -> GroundRasters:
-    """Resample the rasters to the cells of the extent.
+    """Resample the rasters to cells of `cell` metres over an extent (west, south, east, north) in the frame `local`.
 
     Raises:
         InputError: a raster is not readable, has no coordinate system, too many holes or codes that are no classes, or
@@ -177,7 +180,10 @@ def load_rasters(raster: SceneRaster, local: LocalFrame, extent: Box, cell: floa
 def _warped(
     path: Path, what: str, local: LocalFrame, grid: Grid, bands: list[int], how: Resampling, **more: Any
 ) -> Any:
-    """Return the (bands, R, C) values of a raster, resampled to the grid by method `how`; errors name it as `what`."""
+    """Return the values of a raster resampled to the grid, (bands, R, C).
+
+    `what`: name of the raster in errors. `bands`: numbers from 1. `how`: method. `more`: options of `WarpedVRT`.
+    """
     with _opened(path, what) as dataset:
         if len(bands) > dataset.count:
             raise InputError(f"{path}: the {what} has {dataset.count} band(s), {len(bands)} are needed; choose another")
@@ -229,7 +235,7 @@ def _classes(path: Path, local: LocalFrame, grid: Grid) -> U8:
 
 
 def _image(path: Path, local: LocalFrame, grid: Grid, gamma: float) -> F32:
-    """Return the (R, C, 3) linear reflectance; grey outside the picture."""
+    """Return an orthophoto of some `gamma` as linear reflectance on the grid, (R, C, 3); grey outside the picture."""
     with _opened(path, "orthophoto") as dataset:
         if any(kind != "uint8" for kind in dataset.dtypes[:3]):
             raise InputError(f"{path}: the orthophoto is {dataset.dtypes[0]}; convert it to 8 bits")
@@ -255,7 +261,7 @@ class Arrays:
     wires: TrueSpans = field(default_factory=TrueSpans)
 
     def spans(self, box: Box) -> TrueSpans:
-        """Spans in the air that come into a box."""
+        """Return the spans in the air that come into a box."""
         return self.wires.within(box)
 
     @property

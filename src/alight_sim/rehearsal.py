@@ -44,7 +44,7 @@ class CameraFolder:
                 table.flush()
 
     def close(self) -> None:
-        """Close the tables."""
+        """Close the tables of the exposures."""
         for table in self._tables:
             table.close()
 
@@ -75,7 +75,7 @@ class Rehearsal:
         self.server = UdpServer(self.autopilot, ("127.0.0.1", port), step=0.01, after_step=self._expose)
 
     def _expose(self, events: Sequence[Event]) -> None:
-        """Write the new exposures, stamped by this machine's steady clock."""
+        """Write the exposures among `events`, stamped by this machine's steady clock."""
         self._shift_ns = self._shift_ns or time.monotonic_ns() - self.flight.time_ns
         for frame in events:
             if isinstance(frame, Frame):

@@ -27,11 +27,11 @@ class FractalRelief(Section):
     turn_deg: float = Field(0.0, description="of the pattern, counter-clockwise; the crests of dunes run north at 0")
 
     def octaves(self) -> tuple[F64, F64]:
-        """Return the wavelengths and standard deviations of the octaves, longest first, metres."""
+        """Return the wavelength and the standard deviation of each octave, longest first, metres."""
         return octaves(self.height, self.longest, self.shortest, self.fall)
 
     def add(self, x: F64, y: F64, seed: int, out: F64) -> None:
-        """Add this relief at positions (R, C) to the heights `out` (R, C)."""
+        """Add this relief to the heights `out` at positions `x`, `y` (east, north); all (R, C), metres."""
         if self.turn_deg != 0.0:
             c, s = math.cos(math.radians(self.turn_deg)), math.sin(math.radians(self.turn_deg))
             x, y = c * x + s * y, c * y - s * x
@@ -45,9 +45,9 @@ def _add(x: F64, y: F64, waves: tuple[F64, F64], form: int, seed: int, out: F64)
 
 
 def octaves(deviation: float, longest: float, shortest: float, fall: float) -> tuple[F64, F64]:
-    """Return wavelengths, halved from `longest` to `shortest`, and the standard deviations of their octaves, metres.
+    """Return wavelengths, halved from `longest` to `shortest`, and the standard deviation of each octave, metres.
 
-    `deviation`: of the sum of the octaves, metres. `fall`: each octave's is proportional to wavelength**fall.
+    The deviation of an octave is proportional to wavelength**fall. `deviation`: of the sum of all octaves, metres.
     """
     count = max(1, 1 + math.floor(math.log2(max(longest / shortest, 1.0)) + 1e-9))
     wavelengths = longest * 0.5 ** np.arange(count, dtype=np.float64)
@@ -56,7 +56,7 @@ def octaves(deviation: float, longest: float, shortest: float, fall: float) -> t
 
 
 def noise(x: F64, y: F64, seed: int, longest: float, shortest: float, fall: float = 1.0) -> F64:
-    """Return noise of unit deviation at positions of any shape, between two wavelengths (m); `fall` as in `octaves`."""
+    """Return noise of unit deviation at positions of any shape, of `longest` to `shortest` m; see `octaves`."""
     if x.size == 0:
         return np.zeros(x.shape)
     east, north = (np.ascontiguousarray(v).reshape(len(v), -1) for v in (x, y))

@@ -111,7 +111,7 @@ class RigModel(Section):
 
 
 def looking(tilt: float) -> F64:
-    """Return the (3, 3) `body_from_cam` of a camera that points ahead and `tilt` radians below the horizon."""
+    """Return the (3, 3) rotation `body_from_cam` of a camera that points `tilt` radians below the forward direction."""
     c, s = math.cos(tilt), math.sin(tilt)
     return np.array([[0.0, -s, c], [-1.0, 0.0, 0.0], [0.0, -c, -s]])
 
@@ -140,7 +140,7 @@ def default_rig() -> Rig:
 
 
 def _looking_down(*small: float) -> F64:
-    """Return `body_from_cam` (3, 3) of a camera that points down, top forward, turned by a small rotation vector."""
+    """Return `body_from_cam` (3, 3) of a camera that points down, top forward; `small`: error, rotation vector, rad."""
     down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     return np.asarray(cv2.Rodrigues(np.array(small))[0] @ down)
 

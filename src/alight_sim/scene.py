@@ -67,7 +67,7 @@ class SceneGround(Section):
     raster: SceneRaster | None = Field(None, description="a height raster of your own instead of relief and layers")
 
     def fall(self, x: F64, y: F64) -> F64:
-        """Return the heights of the ground's overall slope at positions, metres; 0 at the origin."""
+        """Return the heights of the ground's overall slope at positions `x`, `y` (m), metres; 0 at the origin."""
         steep, towards = math.tan(math.radians(self.slope_deg)), math.radians(self.downhill_deg)
         return np.asarray(-steep * (math.sin(towards) * x + math.cos(towards) * y))
 
@@ -143,7 +143,7 @@ def parse_scene(tree: dict[str, Any], where: str, folder: Path | None = None, se
 
 
 def explain(error: ValidationError) -> str:
-    """Return the first error of a scene in one line: the key, the fault, and possible values."""
+    """Describe the first error of a scene in one line: the key, the fault, and possible values."""
     problems = error.errors(include_url=False)
     first = problems[0]
     key = ".".join(str(k + 1) if isinstance(k, int) else str(k) for k in first["loc"])

@@ -125,7 +125,7 @@ class SceneWorld:
         return _patch(self._patches.get((box, sun, level), make, lambda p: p.nbytes))
 
     def hanging(self, patch: GroundPatch, time: float) -> Hanging | None:
-        """The spans over a patch, with those whose shadow may fall on it; None: there are none."""
+        """Return the spans over a patch, and spans whose shadow may fall on it, at a time (s); None: there are none."""
         x, y = patch.grid.xy()
         box = x[0] - SHADOW_REACH, y[-1] - SHADOW_REACH, x[-1] + SHADOW_REACH, y[0] + SHADOW_REACH
         sun = self.light.sun_at(time)
@@ -138,7 +138,7 @@ class SceneWorld:
         return found if len(found.ends) else None
 
     def usual_height(self, bounds: Box) -> float:
-        """Return the median of a few heights in the tiles of a box, metres."""
+        """Return the median of 25 heights in the tiles of a box, metres."""
         box = self._tile_box(bounds)
         e, n = (np.linspace(a * SIDE, (b + 1) * SIDE, 7)[1:-1].astype(int) for a, b in (box[::2], box[1::2]))
         heights = self._patches.get(
@@ -230,7 +230,10 @@ class SceneWorld:
         return Grid(e0 + (i + 0.5) * self.cell, n0 + (j + 0.5) * self.cell, self.cell, rows, cols)
 
     def _window(self, i0: int, j0: int, i1: int, j1: int, names: tuple[str, ...]) -> dict[str, Any]:
-        """Return the named layers of the cells i0..i1 to the east and j0..j1 to the north, with north up."""
+        """Return layers of the tiles, by their field `names`, for cells i0..i1 to the east and j0..j1 to the north.
+
+        Both ends are included; row 0 is the northernmost one.
+        """
         rows, cols = j1 - j0 + 1, i1 - i0 + 1
         out: dict[str, Any] = {}
         for tj in range(j0 // SIDE, j1 // SIDE + 1):
@@ -266,7 +269,7 @@ class SceneWorld:
         return GroundPatch(grid, height, layers["label"], layers["skin"], looks, tinted, level)
 
     def _make_skin(self, i: int, j: int, sun: Sun, level: int) -> _TileSkin:
-        """Return light, class, look and tint of a tile's blocks of 2^level x 2^level cells."""
+        """Return light, class, look and tint of tile (i, j), reduced to blocks of 2^level x 2^level cells."""
         tile, side = self._tile(i, j), SIDE >> level
         codes = most_of(tile.label.astype(np.uint16) + 16 * tile.look.astype(np.uint16), level)
         sky = self._tiles.get(("sky", i, j, level), lambda: mean_of(self._make_sky(i, j), level), lambda a: a.nbytes)
@@ -290,7 +293,7 @@ class SceneWorld:
         return out
 
     def _make_shadow(self, i: int, j: int, sun: Sun) -> F32:
-        """Return the (SIDE, SIDE) shadow margins of a tile, metres; see `kernels.layers.sun_margin`."""
+        """Return the (SIDE, SIDE) shadow margins of tile (i, j), metres; see `kernels.layers.sun_margin`."""
         direction, flat = sun.direction, math.hypot(*sun.direction[:2])
         out = np.full((SIDE, SIDE), SHADOW_LIMIT, np.float32)
         if flat < 1e-6:
@@ -357,7 +360,10 @@ def world_of(
     seed: int = 0,
     spans: TrueSpans | None = None,
 ) -> SceneWorld:
-    """Build a world from arrays (R, C) on a grid; the class defaults to bare. Beyond the grid its edge cells repeat."""
+    """Build a world from arrays on a grid; beyond the grid its edge cells repeat.
+
+    `height`, `label` (None: bare), `depth` of water and `look`: (R, C). `tint`: (R, C, 3). See `alight_sim.tiles.Tile`.
+    """
     label = np.full(grid.shape, Terrain.BARE, np.uint8) if label is None else label
     source = Arrays(grid, np.asarray(height, np.float32), label, depth, look, tint, spans or TrueSpans())
     return SceneWorld("arrays", "", seed, Origin().local, source, source.extent, light or Light())

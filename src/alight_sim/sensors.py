@@ -136,7 +136,10 @@ class NavStream:
         self._sigma_velocity = _claimed(errors.velocity, errors.velocity_white, least=1e-3)
 
     def sample(self, t_ns: int, seconds: float, true: TrueMotion) -> NavSample | None:
-        """Return the row at a time of the flight, from the motion `errors.latency` s earlier; None: it is missing."""
+        """Return the row of stamp `t_ns` at a time (s) of the flight; None: it is missing.
+
+        `true`: motion `errors.latency` seconds earlier.
+        """
         e = self.errors
         jump = self._jump(seconds)
         drift = self._drift.at(seconds)
@@ -169,7 +172,7 @@ class NavStream:
         return out
 
     def heading_error(self, seconds: float) -> F64:
-        """Return the heading error as a rotation (3, 3) in the world."""
+        """Return the heading error at a time (s) as a rotation (3, 3) in the world."""
         tau = self.errors.yaw_tau
         fade = 1.0 if tau is None else math.exp(-max(seconds, 0.0) / tau)
         return so3_exp([0.0, 0.0, -math.radians(self.errors.yaw_start_deg) * fade])
@@ -181,7 +184,7 @@ class NavStream:
 def simulated_nav(
     flight: TrueTrajectory, t_ns: I64, seconds: F64, errors: NavErrors, seeds: np.random.SeedSequence
 ) -> Iterator[NavSample]:
-    """Yield the rows of GPS/INS with stamps `t_ns`, which correspond to the times `seconds` of the trajectory."""
+    """Yield the GPS/INS rows, except lost ones, with stamps `t_ns` (N,) at times `seconds` (N,) of the trajectory."""
     then, stream = seconds - errors.latency, NavStream(errors, seeds)
     places, velocities = flight.place_world(then), flight.velocity_world(then)
     turns, rates = flight.rotations(then), flight.angular_velocity_body(then)
@@ -193,7 +196,7 @@ def simulated_nav(
 
 
 def _bent(rng: np.random.Generator, scale: float, misalignment: float) -> F64:
-    """Return a random (3, 3) matrix from true to measured vectors, with errors of the scale and of the axes."""
+    """Return a random (3, 3) matrix from true to measured vectors; `scale`, `misalignment` (rad): 1-sigma."""
     M = np.diag(1.0 + scale * rng.standard_normal(3))
     return np.asarray(M + misalignment * rng.standard_normal((3, 3)) * (1.0 - np.eye(3)))
 
@@ -217,7 +220,7 @@ class BiasWalk:
 
 
 def imu_biases(n: int, errors: ImuErrors, seeds: np.random.SeedSequence) -> tuple[F64, F64]:
-    """Return (N, 3) gyroscope biases, rad/s, and (N, 3) accelerometer biases, m/s^2."""
+    """Draw (n, 3) gyroscope biases, rad/s, and (n, 3) accelerometer biases, m/s^2, of `n` successive samples."""
     walk = BiasWalk(errors, seeds)
     both = np.array([walk.next() for _ in range(n)])
     return both[:, 0], both[:, 1]
@@ -233,7 +236,10 @@ class ImuStream:
         self._sigmas = errors.gyroscope_noise_density * root, errors.accelerometer_noise_density * root
 
     def sample(self, t_ns: int, rate: F64, force: F64, biases: tuple[F64, F64]) -> ImuSample:
-        """Return the measured sample of a true angular rate (3,) and specific force (3,) in the body."""
+        """Return the measured sample of a true angular rate (3,) and specific force (3,) in the body.
+
+        `biases`: gyroscope, rad/s, and accelerometer, m/s^2, both (3,).
+        """
         measured = self._axes[0] @ rate + biases[0] + self._sigmas[0] * self._gyro.standard_normal(3)
         felt = self._axes[1] @ force + biases[1] + self._sigmas[1] * self._accel.standard_normal(3)
         return ImuSample(t_ns, measured, felt)
@@ -247,7 +253,10 @@ def simulated_imu(
     errors: ImuErrors,
     seeds: np.random.SeedSequence,
 ) -> Iterator[ImuSample]:
-    """Yield samples of angular rate and specific force in the body."""
+    """Yield the IMU samples with stamps `t_ns` (N,) at times `seconds` (N,) of the trajectory.
+
+    `biases`: gyroscope, rad/s, and accelerometer, m/s^2, both (N, 3).
+    """
     stream = ImuStream(errors, seeds)
     rates, forces = flight.angular_velocity_body(seconds), flight.specific_force_body(seconds)
     for i, t in enumerate(t_ns):

@@ -29,13 +29,16 @@ class TrueSpans:
 
     table: F64 = field(
         default_factory=lambda: np.zeros((0, COLUMNS))
-    )  # (N, COLUMNS), one a row, as `HEADER` names them
+    )  # (N, COLUMNS), one row per span, columns as in `HEADER`
 
     @classmethod
     def of(
         cls, start: F64, end: F64, *, sag: float | F64, diameter: float | F64, colour: Iterable[float] | F64
     ) -> TrueSpans:
-        """Make spans from `start` to `end` (N, 3); `sag` below the middle of the chord; `colour`: reflectance, RGB."""
+        """Build spans from their ends `start` and `end` (N, 3).
+
+        `sag`: metres that the middle hangs below the chord. `diameter`: metres. `colour`: reflectance, RGB.
+        """
         table = np.empty((len(start), COLUMNS))
         table[:, :3], table[:, 3:6], table[:, 6], table[:, 7] = start, end, sag, diameter
         table[:, 8:] = np.asarray(colour, float)
@@ -43,7 +46,7 @@ class TrueSpans:
 
     @classmethod
     def joined(cls, parts: Iterable[TrueSpans]) -> TrueSpans:
-        """All spans of all parts."""
+        """Join several sets of spans to one."""
         return cls(np.concatenate([np.zeros((0, COLUMNS)), *(p.table for p in parts)]))
 
     def __len__(self) -> int:
@@ -51,22 +54,22 @@ class TrueSpans:
 
     @property
     def start(self) -> F64:
-        """(N, 3) one end: east, north, up."""
+        """(N, 3) east, north, up of one end, metres."""
         return self.table[:, :3]
 
     @property
     def end(self) -> F64:
-        """(N, 3) the other end."""
+        """(N, 3) east, north, up of the other end, metres."""
         return self.table[:, 3:6]
 
     @property
     def sag(self) -> F64:
-        """(N,) depth of the middle below the chord."""
+        """(N,) metres that the middle hangs below the chord between the ends."""
         return self.table[:, 6]
 
     @property
     def diameter(self) -> F64:
-        """(N,) diameter."""
+        """(N,) metres."""
         return self.table[:, 7]
 
     @property
@@ -75,20 +78,20 @@ class TrueSpans:
         return self.table[:, 8:]
 
     def within(self, box: tuple[float, float, float, float]) -> TrueSpans:
-        """Select the spans whose bounding box meets a box (west, south, east, north)."""
+        """Return the spans whose horizontal bounding box meets a box (west, south, east, north), metres."""
         low, high = np.minimum(self.start, self.end), np.maximum(self.start, self.end)
         near = (high[:, 0] >= box[0]) & (low[:, 0] <= box[2]) & (high[:, 1] >= box[1]) & (low[:, 1] <= box[3])
         return TrueSpans(self.table[near])
 
     def at(self, number: NDArray[np.intp], share: F64) -> F64:
-        """(M, 3) places on spans `number` (M,), at a share (M,) of the way from start to end."""
+        """Return (M, 3) points on spans of index `number` (M,); `share`: (M,) from 0 at the start to 1 at the end."""
         s = share[:, None]
         out = (1.0 - s) * self.start[number] + s * self.end[number]
         out[:, 2] -= 4.0 * self.sag[number] * share * (1.0 - share)
         return np.asarray(out)
 
     def pieces(self, longest: float) -> tuple[NDArray[np.intp], F64]:
-        """(M,) number of the span and (M, 2, 3) ends of the straight pieces, of about `longest` metres or less."""
+        """Cut all spans into straight pieces of up to about `longest` m; return span index (M,), ends (M, 2, 3)."""
         count = np.maximum(np.ceil(np.linalg.norm(self.end - self.start, axis=1) / longest), 1).astype(np.intp)
         number = np.repeat(np.arange(len(self)), count)
         k = np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)
@@ -96,7 +99,7 @@ class TrueSpans:
         return number, np.stack(ends, axis=1)
 
     def aside(self, places: F64) -> F64:
-        """(..., N) horizontal distance from places (..., 2) to the surface of each span; negative: under it."""
+        """Return (..., N) metres, horizontally, from positions (..., 2) to each span's surface; negative: under it."""
         a, along = self.start[:, :2], (self.end - self.start)[:, :2]
         away = places[..., None, :] - a
         length = np.maximum((along**2).sum(axis=1), 1e-12)
@@ -104,14 +107,14 @@ class TrueSpans:
         return np.asarray(np.linalg.norm(away - share[..., None] * along, axis=-1) - 0.5 * self.diameter)
 
     def near(self, places: F64, radius: float) -> Mask:
-        """(N,) true for places (N, 2) within `radius`, horizontally, of a span at any height."""
+        """Return the (K,) mask of positions (K, 2) within `radius` (m), horizontally, of a span at any height."""
         out = np.zeros(len(places), bool)
         for first in range(0, len(self), CHUNK):
             out |= (TrueSpans(self.table[first : first + CHUNK]).aside(places) <= radius).any(axis=1)
         return out
 
     def over(self, grid: Grid, radius: float) -> Mask:
-        """(R, C) true for cells whose centre is within `radius`, horizontally, of a span at any height."""
+        """Return the (R, C) mask of cell centres within `radius` (m), horizontally, of a span at any height."""
         out = np.zeros(grid.shape, bool)
         east, north = grid.xy()
         for k in range(len(self)):
@@ -127,7 +130,10 @@ class TrueSpans:
         return out
 
     def highest(self, east: float, north: float, radius: float, low: float, high: float) -> float:
-        """Height of the highest point that an upright cylinder from `low` to `high` touches; -inf: it touches none."""
+        """Return the height of the highest point of a span that an upright cylinder touches; -inf: it touches none.
+
+        The cylinder is at `east`, `north`, has a `radius` (m) and reaches from height `low` to height `high`.
+        """
         near = self.within((east - radius, north - radius, east + radius, north + radius))
         number, ends = near.pieces(0.05)
         here = ends.mean(axis=1)

@@ -64,7 +64,7 @@ class TileSource(Protocol):
         """Return a lower and an upper bound of all heights in the box, metres."""
 
     def spans(self, box: Box) -> TrueSpans:
-        """Spans in the air that come into the box."""
+        """Return the spans in the air that come into the box."""
 
 
 class Under(Protocol):
@@ -77,7 +77,7 @@ class Under(Protocol):
         """Set the classes and colours of the sheet."""
 
     def range(self, box: Box) -> tuple[float, float]:
-        """Return the lowest and highest height in a box, metres."""
+        """Return the lowest and highest height in a box (west, south, east, north), metres."""
 
 
 class Cache:
@@ -89,7 +89,7 @@ class Cache:
         self._lock = threading.RLock()
 
     def get(self, key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) -> Any:
-        """Return the value of a key, made by `make` if the cache does not hold it; `size` returns its bytes."""
+        """Return the value of a key, made by `make` if the cache does not hold it; `size` returns a value's bytes."""
         with self._lock:
             if key in self._held:
                 self._held.move_to_end(key)
@@ -103,7 +103,7 @@ class Cache:
 
 
 def _mixed(*numbers: NDArray[np.int64] | int) -> NDArray[np.uint64]:
-    """Return hashes of integers with well mixed bits (splitmix64)."""
+    """Return a hash of several integers, element by element, with well mixed bits (splitmix64)."""
     h = np.uint64(0x9E3779B97F4A7C15) * np.ones(np.broadcast_shapes(*(np.shape(n) for n in numbers)), np.uint64)
     for n in numbers:
         h = (h ^ np.asarray(n, np.int64).astype(np.uint64)) * np.uint64(0xBF58476D1CE4E5B9)
@@ -122,7 +122,7 @@ class Lay:
         self.block = lru_cache(4096)(self._block)
 
     def keep(self, key: str, make: Callable[[], F64]) -> F64:
-        """Return the value of a key, which is made at the first call and kept."""
+        """Return the value of a key; `make` computes it at the first call."""
         if key not in self._kept:
             self._kept[key] = make()
         return np.asarray(self._kept[key])
@@ -147,7 +147,7 @@ class Lay:
         return overlapping(np.concatenate(found), box)
 
     def _candidates(self, i: int, j: int) -> tuple[F64, int]:
-        """Return the things of one block before the ground is sampled, and how many of them are at given positions."""
+        """Return the things of block (i, j) before ground is sampled, and how many of them are at given positions."""
         layer = self.scattered
         named = np.array(layer.at, dtype=np.float64).reshape(-1, 2)
         named = named[(np.floor(named / BLOCK) == (i, j)).all(axis=1)]
@@ -163,7 +163,7 @@ class Lay:
         return things, len(named)
 
     def _block(self, i: int, j: int) -> F64:
-        """Return the things of one block that found a site, in parts, with the ground level at their feet."""
+        """Return the parts of the things of block (i, j) that found a site, with the ground level at their feet."""
         things, named = self.candidates(i, j)
         if not len(things):
             return things
@@ -184,7 +184,7 @@ class Lay:
         return np.asarray(field > NormalDist().inv_cdf(1.0 - layer.clump))
 
     def ring(self, i: int, j: int) -> tuple[F64, F64]:
-        """Return (N, 1 + RING) east and north of ground samples for a block's candidates: the centre, then a ring."""
+        """Return (N, 1 + RING) east, north of ground samples for things of block (i, j): the centre, then a ring."""
         things = self.candidates(i, j)[0]
         turn = 2.0 * math.pi * np.arange(RING) / RING
         reach = things[:, REACH, None] * (1.0 if self.scattered.founded else 0.5)
@@ -197,7 +197,7 @@ class Lay:
         return type(self.layer).shape is not Layer.shape
 
     def _feet(self, i: int, j: int) -> tuple[F64, Mask]:
-        """Return the (N,) ground level at each foot, and the (N,) mask of feet with allowed ground all around."""
+        """Return for each thing of block (i, j) the ground level, and whether the ground around is allowed; (N,)."""
         if self.shapes:
             sheet = self.before(*self.ring(i, j))
             ground, label, look = sheet.ground, sheet.label, sheet.look
@@ -211,7 +211,7 @@ class Lay:
         return np.asarray(ground.mean(axis=1) if self.shapes else ground[:, 0]), allowed
 
     def _has_room(self, things: F64, i: int, j: int) -> Mask:
-        """Return the (N,) mask of things without overlap with earlier layers' things or own ones of higher rank."""
+        """Return the (N,) mask of things of block (i, j) that overlap no thing of earlier layers or of higher rank."""
         room = np.ones(len(things), bool)
         if not self.scattered.apart:
             return room
@@ -258,12 +258,12 @@ class Stack:
             kinds.append(layer.thing)
 
     def _stream(self, name: str, count: int) -> int:
-        """Return the seed of layer `count` of kind `name`; it does not depend on layers of other kinds."""
+        """Return the seed of the layer of index `count` among those named `name`; other layers have no influence."""
         state = np.random.SeedSequence([self.seed, zlib.crc32(name.encode()), count]).generate_state(1)
         return int(state[0]) & 0x7FFFFFFF
 
     def base(self, x: F64, y: F64) -> F64:
-        """Return heights of slope, raster and relief alone, metres."""
+        """Return the heights of slope, raster and relief alone at positions `x`, `y` of any shape, metres."""
         out = self.spec.fall(x, y)
         if self.raster is not None:
             out += self.raster.heights(x, y)
@@ -277,7 +277,10 @@ class Stack:
         return () if self.raster is not None and "relief" not in self.spec.model_fields_set else self.spec.relief
 
     def ground(self, x: F64, y: F64, upto: int | None = None, cell: float = 0.0) -> Sheet:
-        """Return the solid ground at positions (R, C), after the layers before index `upto` (None: all layers)."""
+        """Return the solid ground at positions (R, C), after the layers before index `upto` (None: all layers).
+
+        `cell`: see `Sheet`.
+        """
         sheet = Sheet.blank(x, y, terrain_named(self.spec.cover), cell)
         sheet.ground = self.base(x, y)
         sheet.look[:], sheet.tint[:] = self.spec.look, self.spec.tint
@@ -288,7 +291,7 @@ class Stack:
         return sheet
 
     def _feet(self, i: int, j: int) -> dict[int, tuple[F64, U8, U8]]:
-        """Return ground, classes and looks at a block's rings, by the index of each layer that changes no ground."""
+        """Return ground, classes and looks at the rings of block (i, j), by index of layers that change no ground."""
         standing = [lay for lay in self.lays if isinstance(lay.layer, Scattered) and not lay.shapes]
         rings = [lay.ring(i, j) for lay in standing]
         sheet = self.ground(np.concatenate([r[0] for r in rings]), np.concatenate([r[1] for r in rings]))
@@ -298,7 +301,7 @@ class Stack:
         return {lay.index: part for lay, part in zip(standing, parts, strict=True)}
 
     def tile(self, i: int, j: int) -> Tile:
-        """Return all layers on the cells of one tile."""
+        """Return the tile that is `i` tiles east and `j` tiles north of the anchor."""
         k = np.arange(SIDE)
         x, y = np.meshgrid((i * SIDE + k + 0.5) * self.cell, ((j + 1) * SIDE - k - 0.5) * self.cell)
         sheet = self.ground(x, y, cell=self.cell)
@@ -312,7 +315,7 @@ class Stack:
         return Tile(height, sheet.label, depth, sheet.look, tint)
 
     def spans(self, box: Box) -> TrueSpans:
-        """Spans in the air that come into a box."""
+        """Return the spans in the air that come into a box."""
         return TrueSpans.joined(lay.layer.hang(box, lay) for lay in self.lays).within(box)
 
     def range(self, box: Box) -> tuple[float, float]:

@@ -58,7 +58,7 @@ class SceneTruth:
     _masks: dict[TrueFootprint, Mask] = field(default_factory=dict, repr=False)
 
     def safe(self, footprint: TrueFootprint | None = None) -> Mask:
-        """Return the (R, C) mask of touchdowns that keep every limit, inside the world and not under a span."""
+        """Return the (R, C) mask of touchdowns that keep every limit (None: of a default footprint), under no span."""
         key = footprint or TrueFootprint()
         if key not in self._masks:
             safe = safe_mask(self.height, self.label, self.grid.cell, key)
@@ -67,7 +67,7 @@ class SceneTruth:
 
 
 def _half_widths(radius: float, cell: float) -> NDArray[np.int64]:
-    """Return the (2 k + 1,) half widths of a disc's rows, in cells: centres within them lie within the radius."""
+    """Return the half width of each row of a disc, in cells, for `radius` and `cell` in metres."""
     k = math.floor(radius / cell + 1e-9)
     rise = np.arange(-k, k + 1) * cell
     return np.asarray(np.floor(np.sqrt(np.maximum(radius**2 - rise**2, 0.0)) / cell + 1e-9).astype(np.int64))

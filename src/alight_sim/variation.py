@@ -53,7 +53,7 @@ def _value(spec: Any, stream: list[int], name: str, where: str) -> Any:
 
 
 def _filled(part: Any, values: dict[str, Any], where: str) -> Any:
-    """Return a part of the tree with all `$name` replaced; a value may refer to other drawn names."""
+    """Return a part of the tree with every `$name` replaced from `values`; a value may refer to other drawn names."""
     if isinstance(part, str) and part.startswith(SIGN):
         if part[1:] not in values:
             raise InputError(f"{where}: {part}: nothing of this name is drawn; use one of: {', '.join(values)}")

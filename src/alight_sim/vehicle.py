@@ -97,7 +97,7 @@ class TrueTrajectory:
         return self.position.derivative(1), self.position.derivative(2)
 
     def _shaken(self, t: F64 | float, order: int) -> F64:
-        """Return the (..., 3) vibration along (1, 0.6, 0.8) of the world, or its derivative of the given order."""
+        """Return the `order`-th derivative of the (..., 3) vibration, m, along (1, 0.6, 0.8) of the world."""
         t = np.asarray(t, dtype=np.float64)[..., None]
         out: F64 = np.zeros(3)
         for hertz, acceleration in self.vehicle.vibration:
@@ -157,8 +157,8 @@ class _Line:
     """A polyline timed within the limits: positions as a function of time, and its duration."""
 
     points: F64  # (N, 3)
-    speeds: F64  # (N,) at the points
-    peaks: F64  # (N - 1,) in the legs
+    speeds: F64  # (N,) m/s at the points
+    peaks: F64  # (N - 1,) m/s, highest in each leg
     push: float  # m/s^2 along the line
 
     @cached_property
@@ -190,7 +190,10 @@ class _Line:
 
 
 def _timed(points: F64, speed: float, limits: Limits, most: float, rolling: bool) -> _Line:
-    """Return a polyline whose speeds keep to `most` m/s^2; `rolling`: whether its ends are passed at full speed."""
+    """Return a polyline through points (N, 3), flown at up to `speed` m/s within `most` m/s^2.
+
+    `rolling`: whether its ends are passed at full speed instead of at rest.
+    """
     legs = np.diff(points, axis=0)
     lengths = np.linalg.norm(legs, axis=1)
     units = legs / lengths[:, None]
@@ -279,7 +282,7 @@ def fly_through(
 
 
 def _nose(control: F64, centres: F64, limits: Limits) -> F64:
-    """Return the (N,) heading of the control points: along the course, turned no faster than allowed."""
+    """Return the heading at control points (N, 3), rad from east: along the course, turned no faster than allowed."""
     velocity = np.gradient(control[:, :2], KNOT, axis=0)
     moving = np.hypot(*velocity.T) > 0.3
     if not moving.any():
@@ -294,7 +297,7 @@ def _nose(control: F64, centres: F64, limits: Limits) -> F64:
 
 
 def _spline(centres: F64, control: F64) -> BSpline:
-    """Return the uniform B-spline whose control points belong to the times `centres`."""
+    """Return the uniform B-spline of control points (N, ...) that belong to the times `centres` (N,), s."""
     knots = centres[0] + KNOT * (np.arange(len(centres) + DEGREE + 1) - 0.5 * (DEGREE + 1))
     return BSpline(knots, control, DEGREE)
 

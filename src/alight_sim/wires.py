@@ -36,18 +36,18 @@ Numbers = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Hanging:
-    """The pieces of all spans over a patch, and where their shadows fall under one sun. World axes, metres."""
+    """Straight pieces of the spans over a patch, and their shadows at one position of the sun. World axes, metres."""
 
-    number: Numbers  # (M,) of the span
-    ends: F64  # (M, 2, 3)
+    number: Numbers  # (M,) index of the span to which a piece belongs
+    ends: F64  # (M, 2, 3) both ends of each piece
     colour: F64  # (M, 3) reflectance
-    diameter: F64  # (M,)
+    diameter: F64  # (M,) of the wire
     feet: F64  # (M, 2, 3) ends of the shadow on the ground, NaN where it falls beyond the patch or the longest shadow
     away: F64  # (M,) from the wire to its shadow
 
     @classmethod
     def of(cls, spans: TrueSpans, patch: GroundPatch, sun: Sun, reach: float) -> Hanging:
-        """Cut spans into pieces and cast their shadows, no farther than `reach`, horizontally."""
+        """Cut spans into pieces and cast their shadows to a horizontal distance of at most `reach` metres."""
         number, ends = spans.pieces(PIECE)
         t = np.zeros(0) if not len(ends) else _fall(ends.reshape(-1, 3), patch, sun.direction)
         t[t * math.cos(sun.elevation) > reach] = np.nan
@@ -62,7 +62,10 @@ class Hanging:
 
 
 def _fall(places: F64, patch: GroundPatch, sun: F64) -> F64:
-    """(N,) metres from places (N, 3) along the sun's rays to the surface of the patch; NaN where they miss it."""
+    """Return the (N,) metres from positions (N, 3) along the rays of the sun to the patch's surface; NaN: they miss it.
+
+    `sun`: (3,) unit vector towards the sun.
+    """
     grid, cell = patch.grid, patch.grid.cell
     origins = np.column_stack([(places[:, 0] - grid.east) / cell, (grid.north - places[:, 1]) / cell, places[:, 2]])
     turns = np.repeat(np.diag([1.0 / cell, -1.0 / cell, 1.0])[None], len(places), axis=0)
@@ -77,16 +80,16 @@ def _fall(places: F64, patch: GroundPatch, sun: F64) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class CameraMoment:
-    """One moment of a camera over a patch."""
+    """Poses of a camera at one instant of an exposure, its rays, and the depth of the ground in its pixels."""
 
     camera: Camera
-    rays: F32  # (H, W, 3), z = 1
-    turns: F64  # (N, 3, 3) and
-    places: F64  # (N, 3): world_from_cam, N = 1 or one for each row
+    rays: F32  # (H, W, 3) in the camera, z = 1
+    turns: F64  # (N, 3, 3) rotations world_from_cam: one per row of the picture, or N = 1
+    places: F64  # (N, 3) metres, positions world_from_cam
     depth: F64  # (H, W) along the optical axis, metres; below 0: sky
 
     def rows_of(self, points: F64) -> Numbers:
-        """(K,) number of the pose of the row in which points (K, 3) appear."""
+        """Return the (K,) index of the pose of the row in which each world point (K, 3) appears."""
         count = len(self.turns)
         row = np.full(len(points), count // 2)
         for _ in range(0 if count == 1 else 2):
@@ -95,19 +98,19 @@ class CameraMoment:
         return row
 
     def project(self, points: F64, row: Numbers) -> tuple[F64, F64]:
-        """(K, 2) pixels and (K,) depths of points (K, 3), seen with the poses of rows (K,)."""
+        """Return (K, 2) pixels and (K,) depths of world points (K, 3), each seen with the pose of index `row` (K,)."""
         seen = np.einsum("kji,kj->ki", self.turns[row], points - self.places[row])
         seen[(np.abs(seen[:, :2]) > self._widest * seen[:, 2:]).any(axis=1), 2] = -1.0
         return self.camera.project(seen), seen[:, 2]
 
     @cached_property
     def _widest(self) -> F64:
-        """(2,) largest slopes of rays that count: farther out the lens's polynomial would fold them back."""
+        """(2,) largest |x / z|, |y / z| of usable points; the distortion would fold farther ones into the picture."""
         border = (self.rays[0], self.rays[-1], self.rays[:, 0], self.rays[:, -1])
         return np.asarray(1.15 * np.abs(np.concatenate(border)[:, :2]).max(axis=0) + 0.05)
 
     def ground(self, row: Numbers, col: Numbers) -> F64:
-        """(K, 3) places on the ground that pixels see."""
+        """Return the (K, 3) world positions of the ground seen by the pixels at `row` (K,) and `col` (K,)."""
         n = row if len(self.turns) > 1 else np.zeros_like(row)
         ways = np.einsum("kij,kj->ki", self.turns[n], self.rays[row, col].astype(np.float64))
         return np.asarray(self.places[n] + self.depth[row, col, None] * ways)
@@ -115,34 +118,37 @@ class CameraMoment:
 
 @dataclass(frozen=True, eq=False)
 class _Strips:
-    """Pixels that strips touch, one row for each pair of a strip and a pixel."""
+    """Pairs of a strip and a pixel that the strip touches."""
 
-    number: Numbers  # (K,) of the strip
+    number: Numbers  # (K,) index of the piece whose strip it is
     row: Numbers
     col: Numbers
-    depth: F64  # of the strip's middle line there
-    share: F64  # of the pixel that it covers
+    depth: F64  # (K,) metres, of the strip's middle line in the pixel
+    share: F64  # (K,) share of the pixel that the strip covers
 
 
 @dataclass(frozen=True, eq=False)
 class Lit:
-    """Sun, sky, haze and clouds of one moment."""
+    """Sun, sky, haze and clouds at one instant."""
 
     numbers: F64  # (LIGHTS,) see `Light.numbers`
     time: float  # s
-    seed: int  # of the clouds, as `kernels.shade` takes it
+    seed: int  # of the clouds, as for `kernels.shade`
 
     @property
     def sun(self) -> tuple[F64, F64, F64]:
-        """(3,) direction, (3,) colour of the sun, (3,) colour of the sky."""
+        """(3,) direction towards the sun, (3,) colour of the sun, (3,) colour of the sky."""
         return self.numbers[:3], self.numbers[3:6], self.numbers[6:9]
 
     def haze(self, away: F64) -> F64:
-        """(N,) share of the light that is left after `away` metres."""
+        """Return the (N,) share of the light that haze leaves over the distances `away` (N,), metres."""
         return np.asarray(np.exp(-self.numbers[HAZE] * away))
 
     def sunshine(self, places: F64, margin: F64) -> F64:
-        """(N,) share of the sun at places (N, 3) past terrain, with shadow margins (N,), metres, and past clouds."""
+        """Return the (N,) share of the sunlight that terrain and clouds leave at positions (N, 3).
+
+        `margin`: (N,) metres, shadow margins there; see `GroundPatch.light`.
+        """
         buf, out = np.zeros(PARAM, np.float32), np.empty(len(places))
         for first in range(0, len(places), B):
             block, base = places[first : first + B], np.floor(places[first])
@@ -154,7 +160,7 @@ class Lit:
 
 
 def draw(hanging: Hanging, view: CameraMoment, patch: GroundPatch, lit: Lit, out: F32) -> None:
-    """Darken linear light (H, W, 3) by the shadows of spans, then draw the spans."""
+    """Draw the shadows of spans and then the spans on a picture `out`, linear light (H, W, 3), in place."""
     _draw_shadows(hanging, view, patch, lit, out)
     _draw_wires(hanging, view, lit, out)
 
@@ -181,7 +187,15 @@ def _draw_wires(hanging: Hanging, view: CameraMoment, lit: Lit, out: F32) -> Non
 
 
 def _radiance(along: F64, towards: F64, colour: F64, places: F64, lit: Lit) -> F64:
-    """(M, 3) light that cylinders along (M, 3) send towards the camera (M, 3): Lambert's law over the visible half."""
+    """Return the (M, 3) light that cylinders send to the camera, through haze, by Lambert's law over the visible half.
+
+    Args:
+        along: (M, 3) unit vectors along the cylinders.
+        towards: (M, 3) metres, vectors from the cylinders to the camera.
+        colour: (M, 3) reflectances.
+        places: (M, 3) positions of the cylinders.
+        lit: the light.
+    """
     sun, direct, sky = lit.sun
     s, v = (d - (d * along).sum(axis=1, keepdims=True) * along for d in (np.broadcast_to(sun, along.shape), towards))
     turn = np.arccos(np.clip((_unit(s) * _unit(v)).sum(axis=1), -1.0, 1.0))
@@ -214,7 +228,7 @@ def _draw_shadows(hanging: Hanging, view: CameraMoment, patch: GroundPatch, lit:
 
 
 def _sun_share(places: F64, patch: GroundPatch, lit: Lit) -> F64:
-    """(K, 3) share of the sun in the light of ground at places (K, 3): none in shadow and in water."""
+    """Return the (K, 3) share of direct sunlight in the light of ground at positions (K, 3); 0 in shadow and water."""
     sun, direct, sky = lit.sun
     east, north, size = patch.skin_place
     rows, cols = patch.skin.shape[:2]
@@ -228,10 +242,15 @@ def _sun_share(places: F64, patch: GroundPatch, lit: Lit) -> F64:
 
 
 def _strips(view: CameraMoment, line: Numbers, ends: F64, rim: F64, blur: F64 | None = None) -> _Strips:
-    """Rasterise strips about pieces `ends` (M, 2, 3), whose edge lies `rim` (M, 3) from their middle line.
+    """Rasterise pieces as strips of some width.
 
-    `line` (M,): number of the line that the piece is of. `blur` (M,): of shadows, width of the blur over that of the
-    strip. Without it a pixel's share is its exact overlap with the strip.
+    Args:
+        view: the camera.
+        line: (M,) index of the span to which each piece belongs.
+        ends: (M, 2, 3) both ends of the strips' middle lines, world.
+        rim: (M, 3) metres, vectors from the middle lines to the strips' edges.
+        blur: (M,) width of the blur of a shadow over the width of its strip; None: no blur, i.e. a pixel's share is its
+            exact overlap with the strip.
     """
     camera = view.camera
     flat = ends.reshape(-1, 3)
@@ -263,10 +282,18 @@ def _strips(view: CameraMoment, line: Numbers, ends: F64, rim: F64, blur: F64 | 
 def _pixels_of(
     pixels: F64, half: F64, cosines: F64, steep: Mask, soft: F64, shape: tuple[int, int]
 ) -> tuple[Numbers, F64, F64, Numbers, Numbers]:
-    """Strip, place along it (0 to 1), covered share, row and column of all pixels of strips.
+    """Return index of the strip, position along it (0 to 1), covered share, row and column for all pixels of strips.
 
-    Columns of a strip that lies flat, rows of one that is steep, are gone through: the first and the last one count by
-    the part that the strip reaches into, so that two pieces that follow each other add up.
+    Each is (K,). A steep strip is drawn row by row, any other strip column by column. Its first and last line are
+    weighted by the part of the line that the strip reaches into, so that successive pieces add up.
+
+    Args:
+        pixels: (M, 2, 2) pixels of both ends.
+        half: (M,) half widths, pixels.
+        cosines: (M, 2) absolute cosines of the strip's direction with the axes u and v.
+        steep: (M,) whether a strip is drawn row by row.
+        soft: (M, 2) widths of the two boxes whose convolution smears the strip's edges, pixels.
+        shape: rows and columns of the picture.
     """
     major = np.where(steep[:, None], pixels[..., 1], pixels[..., 0])
     minor = np.where(steep[:, None], pixels[..., 0], pixels[..., 1])
@@ -295,14 +322,14 @@ def _pixels_of(
 
 
 def _runs(count: Numbers) -> tuple[Numbers, Numbers]:
-    """Number of the run and place in it, for runs of `count` (M,) items one after the other."""
+    """Return each item's run and its index in the run, both (K,); `count`: (M,) number of items in each run."""
     count = np.maximum(count, 0)
     number = np.repeat(np.arange(len(count)), count)
     return number, np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)
 
 
 def _below(x: F64, soft: F64) -> F64:
-    """(K,) share of the convolution of two boxes, of widths `soft` (K, 2), that lies below x (K,)."""
+    """Return the (K,) integral up to `x` (K,) of the convolution of two unit-area boxes of widths `soft` (K, 2)."""
     wide, thin = soft.max(axis=1), np.maximum(soft.min(axis=1), 1e-3)
     wide = np.maximum(wide, 2e-3)
     corners = ((1, wide + thin), (-1, wide - thin), (-1, thin - wide), (1, -wide - thin))

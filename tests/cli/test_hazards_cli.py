@@ -53,6 +53,32 @@ def test_a_raster_is_judged_on_its_own_grid(tmp_path: Path, capsys: pytest.Captu
     assert "no sigma given" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("picture", ["none", "grey", "colour"])
+def test_ground_that_no_colour_shows_is_not_judged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], picture: str
+) -> None:
+    dem, out = write(tmp_path / "dem.tif", rock((161, 161))), tmp_path / "out"
+    dust = np.random.default_rng(0).normal(0, 6, (1, 161, 161)) + np.array([128, 112, 92])[:, None, None]
+    pixels = np.clip(dust if picture == "colour" else dust[:1], 0, 255).astype(np.uint8)
+    image = [] if picture == "none" else ["--image", str(write(tmp_path / "image.tif", pixels))]
+    radius = ["--set", "lander.radius=0.6"]
+    assert call(["hazards", str(dem), *image, "--sigma", "0.01", "--out", str(out), *radius]) == 0
+    said, page = capsys.readouterr(), (out / "report.html").read_text()
+    with rasterio.open(out / "safe.tif") as safe:
+        p, ground = safe.read(1), safe.read(4)
+    listed = json.loads((out / "sites.geojson").read_text())
+    judged = picture == "colour"
+    assert (out / "terrain.tif").exists() == listed.get("ground_judged", True) == judged
+    assert np.isfinite(ground).any() == judged
+    assert ("not judged" in said.out.splitlines()[0]) == ("kind of ground is not judged" in said.err) == (not judged)
+    assert np.isfinite(p[80, 80])
+    if not judged:
+        assert p[80, 80] > 0.99
+        assert listed["features"][0]["properties"]["p_ground"] is None
+        assert "Land here" not in page
+        assert "ground was not judged" in page
+
+
 @pytest.mark.parametrize("kind", ["mercator", "feet", "site grid"])
 def test_places_and_files_lie_where_the_raster_lies(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str

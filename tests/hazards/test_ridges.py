@@ -8,13 +8,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from ground import ground
+from ground import covered, ground
 
 from alight.hazards import assess
 from alight.hazards.ridges import straight_ridges
 from alight.learned import read_floors
 from alight.learned.terms import FloorTerm
-from alight.records import Flag, HazardMap
+from alight.records import Flag, HazardMap, Terrain
 from alight.settings import HazardsSettings, Lander
 
 N, MID = 121, (60, 60)
@@ -38,7 +38,7 @@ def looked_at(height: np.ndarray, sample: float = 0.04, doubtful: np.ndarray | N
         flags = e.flags.copy()
         flags[doubtful] = Flag.UNSURE
         e = replace(e, flags=flags)
-    return assess(e, None, Lander(radius=1.0), HazardsSettings())
+    return assess(e, covered(e, 0.9999, Terrain.BARE), Lander(radius=1.0), HazardsSettings())
 
 
 @pytest.mark.parametrize("degrees", [0, 5.6, 20, 45, 71, 90, 140])
@@ -84,7 +84,7 @@ def test_a_kerb_lower_than_the_lander_stands_is_no_site_from_near_by() -> None:
 
 def test_a_kerb_whose_heights_are_in_doubt_counts_as_well() -> None:
     z = kerb(0.3)
-    assert looked_at(z, doubtful=z > 0.05).p_ground[MID] < 0.6
+    assert looked_at(z, doubtful=z > 0.05).p_safe[MID] < 0.6
 
 
 def test_a_kerb_counts_the_less_the_coarser_its_heights_are() -> None:

@@ -107,8 +107,15 @@ def write_ulog(path: Path, a: Autopilot) -> None:
                 put(b"D", struct.pack(packing, number, t_us, *values))
 
 
-def write_dataflash(path: Path, a: Autopilot, undulation: bool = True) -> None:
-    """Write ArduPilot's log (ArduPilot, AP_Logger), with a second IMU that is wrong."""
+def write_dataflash(path: Path, a: Autopilot, ellipsoid: str = "Und", driver: str = "u-blox") -> None:
+    """Write ArduPilot's log (ArduPilot, AP_Logger), with a second IMU that is wrong.
+
+    Args:
+        path: the log.
+        a: what was flown.
+        ellipsoid: field of `GPA` from which ellipsoidal heights follow: `Und`, `AEl` of newer firmware, or none.
+        driver: driver of the receiver, as logged at the start.
+    """
 
     def degrees(s: NavSample) -> list[float]:
         roll, pitch, yaw = np.degrees(a.angles(s))
@@ -122,7 +129,11 @@ def write_dataflash(path: Path, a: Autopilot, undulation: bool = True) -> None:
         return [round(100 * float(v[k])) for v, k in
                 ((s.sigma_position, 0), (s.sigma_position, 2), (s.sigma_velocity, 0))]  # fmt: skip
 
-    more = ("f", ",Und", [SEPARATION]) if undulation else ("", "", [])
+    def more(s: NavSample) -> list[float]:
+        undulation = a.place(s)[2] - float(a.local.to_geodetic(s.position_world)[2])  # as AP_GPS defines it
+        return {"Und": [undulation], "AEl": [round(100 * (a.place(s)[2] - undulation))]}.get(ellipsoid, [])
+
+    letter = {"Und": "f", "AEl": "e"}.get(ellipsoid, "")
     inertial = "GyrX,GyrY,GyrZ,AccX,AccY,AccZ"
     topics = [
         LoggedTopic("ATT", "ccC Roll,Pitch,Yaw", a.of(NavSample, degrees)),
@@ -131,11 +142,16 @@ def write_dataflash(path: Path, a: Autopilot, undulation: bool = True) -> None:
         LoggedTopic("IMU", f"Bffffff I,{inertial}", a.of(ImuSample, lambda s: [0, *a.inertial(s)])),
         LoggedTopic("IMU", f"Bffffff I,{inertial}", a.of(ImuSample, lambda s: [1, *[9.0] * 6])[:9]),
         LoggedTopic(
-            "GPA", f"BCCC{more[0]} I,HAcc,VAcc,SAcc{more[1]}",
-            a.of(NavSample, lambda s: [0, *accuracy(s), *more[2]]),
+            "GPS", "BBe I,Status,Alt",
+            a.of(NavSample, lambda s: [0, 3, round(100 * a.place(s)[2])]) if ellipsoid == "AEl" else [],
         ),
+        LoggedTopic(
+            "GPA", f"BCCC{letter} I,HAcc,VAcc,SAcc{letter and ','}{ellipsoid}",
+            a.of(NavSample, lambda s: [0, *accuracy(s), *more(s)]),
+        ),
+        LoggedTopic("MSG", "Z Message", [(0, [f"GPS 1: specified as {driver}".encode()])]),
     ]  # fmt: skip
-    codes = {"c": "h", "C": "H", "L": "i", "f": "f", "B": "B"}
+    codes = {"c": "h", "C": "H", "L": "i", "e": "i", "f": "f", "B": "B", "Z": "64s"}
     numbers = {name: 130 + k for k, name in enumerate({t.name: None for t in topics})}
     with path.open("wb") as out:
 

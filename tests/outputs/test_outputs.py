@@ -512,7 +512,7 @@ def test_an_old_raster_leaves_no_notes_of_gdal(tmp_path: Path) -> None:
 
 def test_a_judgement_and_a_run_leave_nothing_of_each_other(tmp_path: Path) -> None:
     judged = some_run(source_kind="heights", georeferenced=False)
-    own = {"safe.tif", "reasons.tif", "hazards.tif", "report.html", "run.json"}
+    own = {"safe.tif", "reasons.tif", "terrain.tif", "hazards.tif", "report.html", "run.json"}
     write_run(some_run(), tmp_path)
     write_judgement(judged, tmp_path, False, None, False)
     assert {p.name for p in tmp_path.iterdir()} == own

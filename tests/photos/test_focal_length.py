@@ -11,6 +11,7 @@ import pytest
 
 from alight.photos.reading.photo_camera import Claim, focal_given, photo_camera
 from alight.photos.reading.photo_tags import PhotoTags
+from alight.records import InputError
 
 TRUE = 600.0  # px, of a picture of 800 x 600
 SIZE = (800, 600)
@@ -117,3 +118,59 @@ def test_what_the_user_gives_is_used_and_compared() -> None:
     assert "sources.calibration 800 px is used, but factory calibration (DewarpData) 600 px" in notes["focal_warning"]
     assert photo_camera(tags(), focal_given(tags(), 800.0))[0].fu == 800
     assert "focal_warning" not in photo_camera(photo, Claim("Kalibr", camera, 0.5, "user", {}))[1]
+
+
+CENTRE = {"CalibratedOpticalCenterX": 400, "CalibratedOpticalCenterY": 300}  # of the whole picture, 800 x 600
+CALIBRATED = {"CalibratedFocalLength": TRUE}
+CUT = {"Width": 800, "Height": 600}  # size in the tags
+DEWARP = {"DewarpData": f"2022;{TRUE},{TRUE},10,-4,-0.1,0,0.01,0.02,0"}
+CHANGED = {  # photo, focal length, part of the doubt; no case is a contradiction
+    "crop of the middle, or resized": (tags((400, 300), CALIBRATED, Film=FILM, **CUT), TRUE / 2, "calibration=600"),
+    "square crop, size kept": (tags((600, 600), CALIBRATED, Film=FILM, **CUT), TRUE, ""),
+    "square crop, size rewritten": (
+        tags((600, 600), CALIBRATED | CENTRE, Film=FILM, Width=600, Height=600), TRUE, "",
+    ),
+    "turned, size kept": (tags((600, 800), CALIBRATED | CENTRE, Film=FILM, **CUT), TRUE, ""),
+    "turned, size rewritten": (
+        tags((600, 800), CALIBRATED | CENTRE, Film=FILM, Width=600, Height=800), TRUE, "",
+    ),
+    "turned, without 35 mm": (tags((600, 800), CALIBRATED | {"CalibratedOpticalCenterX": 400}), TRUE, ""),
+    "whole": (tags(SIZE, CALIBRATED | CENTRE, **CUT), TRUE, ""),
+    "centre off the middle": (
+        tags((800, 450), CALIBRATED | {"CalibratedOpticalCenterX": 380, "CalibratedOpticalCenterY": 310}, Film=FILM,
+             Width=800, Height=450), TRUE, "",
+    ),
+    "size gone": (tags((400, 300), CALIBRATED), TRUE, "unconfirmed"),
+    "size gone, 35 mm": (tags((400, 300), CALIBRATED | CENTRE, Film=FILM), TRUE / 2, "calibration=600"),
+    "size rewritten": (tags((400, 300), DEWARP, Width=400, Height=300), TRUE, "unconfirmed"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("situation", CHANGED)
+def test_cropped_turned_and_resized_photos(situation: str) -> None:
+    photo, focal, doubt = CHANGED[situation]
+    camera, notes = photo_camera(photo)
+    assert camera.fu == pytest.approx(focal, rel=1e-6)
+    assert "focal_warning" not in notes
+    assert doubt in notes.get("focal_doubt", "")
+    assert bool(doubt) == ("focal_doubt" in notes)
+
+
+def test_a_lens_of_a_turned_photo_keeps_what_has_no_side() -> None:
+    camera, notes = photo_camera(tags((600, 800), DEWARP | CENTRE, Film=FILM))
+    assert (camera.fu, camera.cu, camera.cv) == (TRUE, 299.5, 399.5)
+    assert camera.distortion == (-0.1, 0, 0, 0, 0)
+    assert "turned" in notes["lens_note"]
+
+
+def test_the_sensor_of_the_model_wins_over_a_calibration_of_unknown_size() -> None:
+    photo = tags((200, 150), DEWARP, Make="DJI", Model="FC330", FocalLength=FOCAL)
+    camera, notes = photo_camera(photo)
+    assert camera.fu == pytest.approx(TRUE / 4, rel=0.01)
+    assert "600 px" in notes["focal_warning"]
+
+
+def test_a_35_mm_equivalent_that_no_lens_has_is_not_used() -> None:
+    with pytest.raises(InputError, match="no focal length"):
+        photo_camera(tags(Film=5.0))
+    assert photo_camera(tags(xmp=CALIBRATED | CENTRE, Film=5.0))[0].fu == TRUE

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from alight.photos.reading import photo_selection
+from alight.photos.reading.photo_tags import read_tags
+from alight.photos.reading.repeated import repeated_photos
 from alight.records import Frame, InputError
 from alight.runner.opening import open_source
 from alight.sources import Source
@@ -109,6 +111,36 @@ def test_kinds_of_pictures(tmp_path: Path, image: Image.Image, options: dict[str
     assert np.abs(found.astype(int) - like).mean() < 25  # JPEG of noise
 
 
+@pytest.mark.parametrize("mode", ["LA", "RGBA"])
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+def test_what_transparency_hides_has_no_edges(tmp_path: Path, suffix: str, mode: str) -> None:
+    """Hidden pixels continue their surroundings; an alpha channel that hides all is none."""
+    ramp = np.tile(np.linspace(60, 180, 64), (48, 1)).astype(np.uint8)
+    hidden = np.zeros(ramp.shape, bool)
+    hidden[30:, 20:50] = True
+    for name, alpha in (("a", ~hidden), ("b", np.ones_like(hidden)), ("c", np.zeros_like(hidden))):
+        image = Image.fromarray(np.where(hidden, 0, ramp).astype(np.uint8)).convert(mode)
+        image.putalpha(Image.fromarray((255 * alpha).astype(np.uint8)))
+        image.save(tmp_path / f"{name}{suffix}")
+    a, b, c = (read_image(tmp_path / f"{name}{suffix}", (64, 48)).astype(float) for name in "abc")
+    assert a.shape == ((48, 64) if mode == "LA" else (48, 64, 3))
+    assert np.array_equal(a[~hidden], b[~hidden])
+    assert np.array_equal(b, c)
+    assert abs(a[hidden].T - ramp[hidden]).max() < 40
+    assert abs(np.diff(a, axis=0)).max() < 15
+    assert abs(np.diff(b, axis=0)).max() > 60
+
+
+def test_hidden_pixels_of_a_set_are_reported(tmp_path: Path) -> None:
+    saved(
+        tmp_path / "a.tif",
+        np.dstack([COLOUR, np.where(np.arange(64) < 16, 0, 255) + np.zeros((48, 1), int)]).astype(np.uint8),
+    )
+    source = open_source(tmp_path)
+    assert any("transparency hides pixels (25.0% of a.tif)" in w for w in source.warnings)
+    assert shown(source)[0].shape == (48, 64, 3)
+
+
 @pytest.mark.parametrize(("suffix", "extra"), [("heic", "heic"), ("HEIF", "heic"), ("DNG", "raw")])
 def test_a_missing_extra_is_named_in_one_line(
     tmp_path: Path, suffix: str, extra: str, monkeypatch: pytest.MonkeyPatch
@@ -176,6 +208,7 @@ def write_set(folder: Path, name: str = "DJI_000{}", **how: Any) -> Source:
 @pytest.mark.parametrize(
     ("name", "how"),
     [
+        ("palette_{}", {"image": false_coloured(cv2.COLORMAP_INFERNO, (180, 135)), "size": (180, 135)}),
         ("DJI_000{}_T", {"size": (40, 30)}),
         ("DJI_20230930152833_000{}_T_point1", {"size": (40, 30)}),
         ("IRX_000{}", {"size": (40, 30)}),
@@ -216,6 +249,39 @@ def test_photos_as_small_as_a_thermal_sensor_keep_their_colours(tmp_path: Path) 
     assert shown(source)[0].ndim == 3
 
 
+def test_letters_that_an_owner_gave_are_no_thermal_pictures(tmp_path: Path) -> None:
+    """`plot_T` of the same camera stays; of another camera it is thermal, also of a size that no sensor has."""
+    for k in range(3):
+        d.write_photo(tmp_path / f"plot{k}{'_T' * (k == 2)}.jpg", second=f"{10 + k}", photo=LENS)
+    assert len(shown(open_source(tmp_path))) == 3
+    d.write_photo(tmp_path / "plot3_IR.jpg", size=(72, 54), photo=LENS)
+    source = open_source(tmp_path)
+    assert source.counts["thermal pictures"] == 1
+    assert all(p.ndim == 3 for p in shown(write_set(tmp_path / "roof", "roof_IR_{}")))
+
+
+def test_grey_pictures_of_a_thermal_size_are_named(tmp_path: Path) -> None:
+    grey = Image.fromarray(cv2.resize(GREY, (160, 120))).convert("RGB")
+    source = write_set(tmp_path / "a", image=grey, size=(160, 120))
+    assert any("show temperatures, if of a thermal camera" in w for w in source.warnings)
+    assert not any(
+        "temperatures" in w for w in write_set(tmp_path / "b", image=grey.resize((200, 120)), size=(200, 120)).warnings
+    )
+
+
+def test_panoramas_are_left_out(tmp_path: Path) -> None:
+    pano = d.xmp_packet({"ProjectionType": "equirectangular"}, "http://ns.google.com/photos/1.0/panorama/")
+    d.write_photo(tmp_path / "pano.jpg", xmp=pano, photo=LENS, size=(80, 40))
+    with pytest.raises(InputError, match=r"all 1 pictures are panoramas \(pano.jpg\)"):
+        open_source(tmp_path)
+    d.write_photos(tmp_path, 3)
+    d.write_photo(tmp_path / "wide.jpg", second="40", photo=LENS, size=(80, 40))
+    source = open_source(tmp_path)
+    said = "1 panorama(s) are left out (first: pano.jpg); 1 picture(s) are twice as wide as high, as panoramas are"
+    assert any(w.startswith(said) for w in source.warnings)
+    assert [p.left_out for p in source.photos if p.name == "pano.jpg"] == ["a panorama (equirectangular)"]
+
+
 def test_copies_count_once(tmp_path: Path) -> None:
     """Copies of a file; the same exposure saved again, also smaller; another exposure of the same second stays."""
     d.write_photos(tmp_path, 3)
@@ -232,3 +298,28 @@ def test_copies_count_once(tmp_path: Path) -> None:
     assert used == ["DJI_0000.JPG", "DJI_0001.JPG", "DJI_0002.JPG", "burst.jpg"]
     assert "4 photo(s) are in the set twice and count once (first: " in source.warnings[0]
     assert source.counts["repeated photos"] == 4
+
+
+@pytest.mark.parametrize(
+    ("again", "out"),
+    [
+        ({"place": (45.0 + 1.2e-6, 7.6, 350.0)}, "long name.jpg"),  # rounded
+        ({"subsecond": ""}, "b.jpg"),  # fewer tags
+        ({"second": None}, "b.jpg"),
+        ({"place": None}, "b.jpg"),
+        ({"place": (45.0 + 3e-5, 7.6, 350.0)}, ""),
+        ({"second": "11"}, ""),
+        ({"subsecond": "75"}, ""),
+        ({"second": None, "place": None}, ""),
+        ({"model": "FC2"}, ""),
+        ({"seed": 9}, ""),
+    ],
+)
+def test_an_exposure_saved_again_with_poorer_tags_counts_once(tmp_path: Path, again: dict[str, Any], out: str) -> None:
+    paths = []
+    for name, changes in (("b.jpg", again), ("long name.jpg", {})):
+        tags = {"seed": 1, "second": "10", "subsecond": "25", "place": (45.0, 7.6, 350.0)} | changes
+        paths.append(d.write_photo(tmp_path / name, xmp=d.xmp_packet({}), **tags))
+    paths[1].write_bytes(paths[1].read_bytes() + b" ")
+    found = repeated_photos([read_tags(path)[0] for path in paths], lambda p: np.asarray(Image.open(p.path)))
+    assert [p.name for p in found.reasons] == [out] * bool(out)

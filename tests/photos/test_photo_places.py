@@ -21,6 +21,11 @@ from alight.runner.opening import open_source
 
 PIX4D = "Image Name,Latitude [deg],Longitude [deg],Altitude [ft],Accuracy Horz [m],Accuracy Vert [m]"
 GEO = "EPSG:4326\nDJI_0000.JPG 7.6 45.0 300.0 0 0 0 0.02 0.03\nDJI_0001.JPG 7.6 45.00003 300.5 0 0 0 0.02 0.03\n"
+METASHAPE = (
+    '# CoordinateSystem: GEOGCS["WGS 84",DATUM["World Geodetic System 1984",SPHEROID["WGS 84",6378137,298.257223563]],'
+    'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]\n'
+    "#Label,Accuracy_X/Y_(m),X/Longitude,Y/Latitude,Z/Altitude,Error_(m)\n"
+)
 TABLE = "name,latitude,longitude,height\nDJI_0000.JPG,45.0,7.6,300.0\nDJI_0001.JPG,45.00003,7.6,300.5\n"
 
 
@@ -43,6 +48,15 @@ def rows(tmp_path: Path, text: str, name: str = "geo.txt") -> Any:
         (TABLE.replace(",", "\t"), None),
         ("Label,X/Longitude,Y/Latitude,Z/Altitude\nDJI_0000.JPG,7.6,45.0,300\n", None),
         (f"{PIX4D}\nDJI_0000.JPG,45.0,7.6,984.251969,0.02,0.03\n", (0.02, 0.02, 0.03)),
+        ("EPSG:4326\nDJI_0000.JPG,7.6,45.0,300,0,0,0,0.02,0.03\n", (0.02, 0.02, 0.03)),
+        ("EPSG:4326\nDJI_0000.JPG, 7.6, 45.0, 300.0\n", None),
+        ("EPSG:4326\nDJI_0000.JPG 7.6 45.0 300 1 2 3 0.02\n", (0.02, 0.02, np.nan)),
+        ("EPSG:4326+5831\nDJI_0000.JPG 7.6 45.0 -300\n", None),  # depths
+        ("file,lat_deg,lon_deg,altitude_ft,sigma_h_m\nDJI_0000.JPG,45,7.6,984.251969,0.02\n", (0.02, 0.02, np.nan)),
+        ("name,lat,lon,height_m,accuracy (cm)\nDJI_0000.JPG,45,7.6,300,2\n", (0.02, 0.02, np.nan)),
+        ("name,lat,lon,altitude,ellipsoidal height\nDJI_0000.JPG,45,7.6,252,300\n", None),
+        (f"{METASHAPE}DJI_0000.JPG,0.02,7.6,45.0,300,\n", (0.02, 0.02, np.nan)),
+        ("SourceFile,EXIF:GPSLatitude,EXIF:GPSLongitude,EXIF:GPSAltitude\nDJI_0000.JPG,45,7.6,300\n", None),
         ("\ufefffile,lat,lon,alt,sigma_e,sigma_n,sigma_u\nDJI_0000,45,7.6,300,0.01,0.02,0.03\n", (0.01, 0.02, 0.03)),
     ],
 )  # fmt: skip
@@ -50,7 +64,7 @@ def test_the_forms_of_a_file(tmp_path: Path, text: str, sigma: Any) -> None:
     place = rows(tmp_path, text).of(["DJI_0000.JPG"])["DJI_0000.JPG"]
     np.testing.assert_allclose(place[:2], (45.0, 7.6), atol=1e-7)
     assert place.height == pytest.approx(300.0, abs=1e-5)
-    assert place.sigma == (None if sigma is None else pytest.approx(sigma))
+    assert place.sigma == (None if sigma is None else pytest.approx(sigma, nan_ok=True))
 
 
 @pytest.mark.parametrize(
@@ -60,7 +74,14 @@ def test_the_forms_of_a_file(tmp_path: Path, text: str, sigma: Any) -> None:
         ("DJI_0000.JPG 7.6 45.0\n", "neither a coordinate system"),
         ("EPSG:4326\n", "no rows"),
         ("EPSG:4326\na.jpg 7.6\n", "line 2: needs name x y"),
-        ("EPSG:4326\na.jpg 7,6 45,0 300,0\n", "decimal commas"),
+        ("EPSG:4326\na.jpg 7,6 45,0 300,0\n", "with points for decimal commas and blanks between"),
+        ("EPSG:4326\na.jpg 7.6 45.0 0.02 0.03\n", "line 2: needs name x y [z]"),
+        ("EPSG:4326\na.jpg 7.6 45.0 300 0.02 0.03\n", "it has 5 number(s)"),
+        (TABLE.replace("height", "height_agl"), "the column 'height_agl' is not known"),
+        (TABLE.replace("height", "altitudeft"), "the column 'altitudeft' is not known"),
+        ("name,lat,lat_ref,lon\na.jpg,45.1,E,7.6\n", "line 2: 'E' does not fit 45.1"),
+        ("name,lat,lat_ref,lon\na.jpg,-45.1,N,7.6\n", "line 2: 'N' does not fit -45.1"),
+        (METASHAPE.replace("WGS 84", "NAD27") + "a.jpg,7.6,45.0,300\n", "is not WGS 84"),
         ("EPSG:4326\na.jpg 45.0 107.6\n", "no place on Earth; x is the longitude"),
         ("EPSG:4326\na.jpg 7.6 45.0\na.jpg 7.6 45.0\n", "line 3: a.jpg stands twice"),
         ("EPSG:2263\na.jpg 980000 190000 100\n", "unit of heights is not declared"),
@@ -88,7 +109,8 @@ def test_what_is_no_file_of_places(tmp_path: Path, text: str, what: str) -> None
         ("", "height", "sea level or ellipsoid: not declared"),
         ("", "altitude_msl", "sea level (altitude_msl)"),
         ("", "Ellipsoidal height", "ellipsoid (Ellipsoidal height)"),
-        ("", "HAE", "ellipsoid (HAE)"),
+        ("", "HAE_m", "ellipsoid (HAE_m)"),
+        ("EPSG:4326+5831", "", "sea level (Instantaneous Water Level depth)"),
     ],
 )
 def test_what_heights_of_a_file_count_from(tmp_path: Path, head: str, column: str, datum: str) -> None:
@@ -143,6 +165,24 @@ def test_one_file_is_chosen(tmp_path: Path) -> None:
     assert places_beside(folder) == folder / "GEO.TXT"
 
 
+def test_signs_by_columns_and_columns_that_are_not_used(tmp_path: Path) -> None:
+    """As `exiftool -n -csv` writes them."""
+    head = "SourceFile,GPSLatitude,GPSLatitudeRef,GPSLongitude,GPSLongitudeRef,GPSAltitude,GPSAltitudeRef,Yaw\n"
+    found = rows(tmp_path, f"{head}./a.jpg,33.6,South,117.9,W,30,1,5\n./b.jpg,33.6,N,117.9,East,30,0,5\n")
+    assert [found.rows[f"./{n}.jpg"][:3] for n in "ab"] == [(-33.6, -117.9, -30.0), (33.6, 117.9, 30.0)]
+    assert found.settled.endswith("; not used: Yaw")
+
+
+@pytest.mark.parametrize("name", ["pix4d.csv", "geo.csv", "LOG.TXT"])
+def test_a_table_that_is_not_read_is_named(tmp_path: Path, name: str) -> None:
+    folder = d.write_photos(tmp_path / "card", 4)
+    (folder / name).write_text("".join(f"DJI_000{k}.JPG,45.1,7.6,380\n" for k in range(3)))
+    (folder / "notes.txt").write_text("DJI_0000.JPG is blurred, 1 2 3\n")
+    (warning,) = open_source(folder).warnings
+    assert warning.startswith(f"{name} names 3 photos and is not read: if it gives their places, write the header")
+    assert open_source(folder, places=Path("tags")).warnings == []
+
+
 def test_the_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, file = d.write_photos(tmp_path / "card", 2), tmp_path / "elsewhere.csv"
     file.write_text(TABLE)
@@ -160,7 +200,7 @@ def test_the_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ("text", "what"),
     [
         (GEO.replace("DJI", "IMG"), "none of its 2 names is that of a photo"),
-        (GEO.replace("7.6 45.0", "45.0 7.6"), "exchanged they do not: write x"),
+        (GEO.replace("7.6 45.0", "45.0 7.6"), "exchanged they agree: mend the coordinate system"),
     ],
 )
 def test_a_file_that_does_not_fit_the_photos(tmp_path: Path, text: str, what: str) -> None:

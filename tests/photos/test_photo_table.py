@@ -199,7 +199,7 @@ def test_each_zoom_level_is_a_camera_and_each_pause_ends_a_flight(tmp_path: Path
 
 def test_photos_that_are_not_used_say_why(tmp_path: Path) -> None:
     d.write_photos(tmp_path, 4)
-    d.write_photo(tmp_path / "thermal_T.jpg", second="30")
+    d.write_photo(tmp_path / "DJI_0030_T.jpg", second="30")
     d.cut_off(tmp_path / "DJI_0002.JPG")
     (tmp_path / "none.jpg").write_bytes(b"no picture")
     source = opened(tmp_path, "sources.skip=1")
@@ -208,7 +208,7 @@ def test_photos_that_are_not_used_say_why(tmp_path: Path) -> None:
     assert why["DJI_0000.JPG"] == "by sources.skip or sources.every"
     assert (why["DJI_0001.JPG"], why["DJI_0003.JPG"]) == ("", "")
     assert "truncated" in why["DJI_0002.JPG"]
-    assert why["thermal_T.jpg"] == "a thermal picture"
+    assert why["DJI_0030_T.jpg"] == "a thermal picture"
     assert why["none.jpg"] == "it is no image"
 
 

@@ -254,8 +254,8 @@ def test_order_is_that_of_capture(tmp_path: Path) -> None:
 
 
 def test_order_of_names_without_times(tmp_path: Path) -> None:
-    for name, second in (("b.jpg", "10"), ("a.jpg", "20"), ("c.jpg", None)):
-        d.write_photo(tmp_path / name, second=second)
+    for k, (name, second) in enumerate([("b.jpg", "10"), ("a.jpg", "20"), ("c.jpg", None)]):
+        d.write_photo(tmp_path / name, second=second, place=(45.0 + 3e-5 * k, 7.6, 350.0))
     source = opened(tmp_path)
     assert names(source) == ["a.jpg", "b.jpg", "c.jpg"]
     assert source.warnings == ["1 photo(s) have no capture time: the order of the file names is used"]

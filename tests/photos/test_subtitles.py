@@ -29,6 +29,12 @@ def subtitles(*lines: str) -> str:
         ("[latitude: 45,0315] [longitude: 7,6205] [rel_alt: 30,5 abs_alt: 330,2]", {"rel_alt": 30.5, "abs_alt": 330.2}),
         ("Lat: N45.0315 Lon: 7.6205E", {}),
         ("[latitude: 45.0315] [longitude: 7.6205] [rel_alt: 100.0ft]", {"rel_alt": 30.48}),
+        *((f"[latitude: 45.0315] [longitude: 7.6205] [rel_alt: {up}]", {"rel_alt": 30.0})
+          for up in ("98.4252 feet", "98.4252'", "98.4252 FT.", "30 meters", "30.0 m [iso 100]", "30 iso: 100")),
+        ("[latitude: 45.0315] [longitude: 7.6205] relative_altitude: 30.5 absolute_altitude: 330.2 gimbal_pitch: -80",
+         {"rel_alt": 30.5, "abs_alt": 330.2, "gb_pitch": -80.0}),
+        *((f"[latitude: 45.0315] [longitude: 7.6205] [{zoom}]", {"dzoom_ratio": 2.0})
+          for zoom in ("dzoom: 2.00", "DZOOM: 2.00X", "digital_zoom: 2", "dzoom_ratio : 2.0")),
         # places in brackets: Phantom 4, Mavic Pro, Matrice 300, Avata 2, Autel
         ("F/5.6, SS 400, EV 0, GPS (7.6205, 45.0315, 15), D 3.5m, H 10.2m, H.S 1m/s, G.PRY (-24.4°, 0.0°, 110.4°)",
          {"rel_alt": 10.2, "gb_pitch": -24.4, "gb_roll": 0.0, "gb_yaw": 110.4}),
@@ -49,6 +55,54 @@ def test_dialects(line: str, values: dict[str, float]) -> None:
     (row,) = read_subtitles(subtitles(line), "a.srt").rows
     assert {k: row.values[k] for k in TURIN} == TURIN
     assert {k: pytest.approx(v) for k, v in row.values.items() if k in values or k in ("abs_alt", "rel_alt")} == values
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "GPS(45 1 53.4 N, 7 37 13.8 E, 348.0)", "GPS(N 45 1 53.4, E 7 37 13.8, 348.0)",
+        "GPS(45°1'53.4\"N, 7°37'13.8\"E, 348.0)", "GPS(7 37.230E; 45 1.890N; 348.0)",
+        "[latitude: 45°1’53.4”N] [longitude: 7 37 13.8 E] [abs_alt: 348.0]",
+    ],
+)  # fmt: skip
+def test_degrees_minutes_and_seconds(line: str) -> None:
+    (row,) = read_subtitles(subtitles(line), "a.srt").rows
+    assert row.place == pytest.approx((45.0315, 7.6205), abs=1e-9)
+    assert row.values["abs_alt"] == 348.0
+    assert not row.coarse
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("GPS(45 6 3.5, 7 36 1.1, 348.0)", "no hemisphere letters"),
+        ("GPS(45 6.05, 7 36.02, 348.0)", "no hemisphere letters"),
+        ("[latitude: 45 6 3.5] [longitude: 7 36 1.1]", "no hemisphere letters"),
+        ("[latitude: 45°6'3.5\"] [longitude: 7°36'1.1\"]", "no hemisphere letters"),
+        ("[latitude: 7.6E] [longitude: 45.1N]", "exchange"),
+    ],
+)
+def test_a_place_that_would_be_misread_is_refused(line: str, why: str) -> None:
+    with pytest.raises(InputError, match=rf"a\.srt: .*{why}"):
+        read_subtitles(subtitles(line), "a.srt")
+
+
+@pytest.mark.parametrize(
+    ("words", "warning"),
+    [
+        ("rel_alt: 30 abs_alt: 330 zoom_ratio: 1.0", ""),
+        ("rel_alt: 30 zoom_ratio: 2.0", "a.srt: zoom_ratio is not used"),
+        ("rel_alt: 30 drone_height: 12", "a.srt: drone_height is not used"),
+        ("abs_alt: 330 rel_alt: 98.4 cubits",
+         "a.srt: the unit 'cubits' of rel_alt is not known, and rel_alt is not used"),
+        ("altitude: 30.4", "a.srt: altitude is taken to count from sea level, which is not declared: if from take-off, "
+         "name it rel_alt"),
+    ],
+)  # fmt: skip
+def test_what_is_not_understood_is_named(words: str, warning: str) -> None:
+    found = read_subtitles(subtitles(f"[latitude: 45.0315] [longitude: 7.6205] {words}"), "a.srt")
+    assert found.warning == warning
+    assert ("rel_alt" in found.rows[0].values) == ("rel_alt: 30 " in words)
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,7 @@ def test_a_missing_second_camera_or_attitude_is_warned_of_and_p_pays_for_it(
     missing: MissingVeto, key: str, words: str
 ) -> None:
     seen, stages = cells((60, 60), 0.1, 1), Settings().stages()
-    whole, less = (assess(seen, None, stages.lander, stages.hazards, m).p_ground for m in (MissingVeto(0), missing))
+    whole, less = (assess(seen, None, stages.lander, stages.hazards, m).p_safe for m in (MissingVeto(0), missing))
     judged = np.isfinite(less)
     assert judged.any()
     np.testing.assert_allclose(less[judged] / whole[judged], np.exp(-getattr(stages.hazards, key)), rtol=1e-4)

@@ -37,6 +37,31 @@ def test_times_in_names_have_the_unit_of_a_cameras_interval(tmp_path: Path, name
     assert found.source.endswith(f"in {unit}")
 
 
+@pytest.mark.parametrize(
+    ("names", "seconds"),
+    [
+        (["IMG_20240102100058", "IMG_20240102100059", "IMG_20240102100100"], [0, 1, 2]),
+        (["cam_20240102105959900", "cam_20240102110000000"], [0, 0.1]),
+        (["20240102_235959_900", "20240103_000000_100"], [0, 0.2]),
+        (["2024-02-28_23-59-59.500", "2024-02-29_00-00-00.250"], [0, 0.75]),
+        (["f240102100059_0001", "f240102100100_0002"], [0, 1]),
+        (["20240102T100000", "20240102T100005"], "5 apart"),
+        (["DJI_20240102100000_0001", "DJI_20240102100000_0002", "DJI_20240102100001_0003"], "have one date"),
+        (["2024130210005900000", "2024130210010000000"], [0, 0.0041]),  # no month: nanoseconds since a start
+    ],
+)
+def test_dates_in_names_are_no_numbers(tmp_path: Path, names: list[str], seconds: list[float] | str) -> None:
+    names = [f"{name}.png" for name in names]
+    if isinstance(seconds, str):
+        with pytest.raises(InputError, match=seconds):
+            frame_times(tmp_path, names, None)
+        return
+    found = frame_times(tmp_path, names, None).rows
+    assert [(t - found[0][0], name) for t, name in found] == [
+        (round(1e9 * s), name) for s, name in zip(seconds, names, strict=True)
+    ]
+
+
 TABLES = {  # as they are written by EuRoC, KITTI (two), exporters of bags (three), and by hand
     "data.csv": "#timestamp [ns],filename\n" + "".join(f"{t},{n}\n" for t, n in zip(NS, COUNTED, strict=True)),
     "times.txt": "".join(f"{k / 20:e}\n" for k in range(4)),

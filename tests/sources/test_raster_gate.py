@@ -236,6 +236,36 @@ def test_rounded_heights_have_the_sigma_of_rounding(tmp_path: Path) -> None:
     assert np.allclose(read_ground(dem, "0.01", None, 0.05).elevation.sigma, math.hypot(0.01, 0.1 / math.sqrt(12)))
 
 
+@pytest.mark.parametrize(
+    ("names", "number"),
+    [(("hillshade of DEM", "DEM"), 2), (("slope of dsm", "DSM"), 2), (("sun altitude", "z"), 2), (("a", "b"), 1)],
+)
+def test_a_band_derived_from_heights_is_not_heights(tmp_path: Path, names: tuple[str, str], number: int) -> None:
+    bands = np.stack([ground_plane(), ground_plane()])
+    bands[2 - number] = np.sin(bands[0])
+    ground = read_ground(store(tmp_path / "d.tif", bands, HERE, descriptions=names), "0.01", None, 0.05)
+    assert f"band {number} of 2" in ground.settled
+    assert slope_of(ground) == pytest.approx(SLOPE, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("lowest", "code", "refused"),
+    [(995.0, 9999, False), (995.0, -9999, True), (300.0, 9999, True), (-99.9, -999, False), (300.0, -999, True)],
+)
+def test_a_code_for_unknown_heights_may_be_a_height_in_decimetres(
+    tmp_path: Path, lowest: float, code: int, refused: bool
+) -> None:
+    stored = np.rint(10 * (lowest + ground_plane() - ground_plane().min())).astype(np.int16)
+    stored = np.where(stored > 9999, 9999, stored) if code > 0 else np.where(stored < -998, -999, stored)
+    stored[:7, :7] = code
+    dem = store(tmp_path / "d.tif", stored.astype(np.int16), HERE, scales=(0.1,))
+    if refused:
+        with pytest.raises(InputError, match=f"{code} stands in .* no height"):
+            read_ground(dem, "0.01", None, 0.05)
+    else:
+        assert np.isfinite(read_ground(dem, "0.01", None, 0.05).elevation.height).all()
+
+
 # -- rasters that belong to the heights
 
 LEFT = np.where(np.arange(SIZE) < SIZE // 2, 0.01, 0.6) + np.zeros((SIZE, 1))
@@ -301,6 +331,21 @@ def test_a_sigma_in_part_leaves_the_rest_unknown(tmp_path: Path, dem: Path) -> N
     assert any("covers 50 % of the heights" in w for w in ground.warnings)
 
 
+@pytest.mark.parametrize("where", ["beside", "finer", "own band"])
+@pytest.mark.parametrize("name", ["sigma", "Std", "Uncertainty (1 sigma)"])
+def test_a_sigma_of_0_is_unknown(tmp_path: Path, dem: Path, where: str, name: str) -> None:
+    values = LEFT.copy()
+    values[:, 40:] = 0.0
+    bands, place = np.stack([ground_plane(), values]), HERE
+    if where == "finer":
+        bands, place = np.kron(bands, np.ones((1, 3, 3))), HERE @ Affine.scale(1 / 3)
+    path = store(tmp_path / "s.tif", bands, place, descriptions=("z", name))
+    ground = read_ground(path, None, None, 0.05) if where == "own band" else read_ground(dem, str(path), None, 0.05)
+    assert np.array_equal(np.isfinite(ground.elevation.height), values > 0)
+    assert sum("s.tif: sigma is 0 in 33.3 % of the heights" in w for w in ground.warnings) == len(ground.warnings) == 1
+    assert np.isfinite(read_ground(dem, "0", None, 0.05).elevation.height).all()
+
+
 def test_a_sigma_without_a_unit_beside_feet_is_refused(tmp_path: Path) -> None:
     feet = store(tmp_path / "d.tif", ground_plane() / 0.3048, HERE, units=("ft",))
     sigma = store(tmp_path / "s.tif", LEFT, HERE)
@@ -340,6 +385,36 @@ def test_an_image_keeps_its_pixels(tmp_path: Path, dem: Path, case: str) -> None
         )
     else:
         assert np.array_equal(found, PICTURE)
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("Blue", "Green", "Red", "NIR", "Red edge"), "band 3, 2, 1 of 5 as red, green, blue"),
+        (("Blue-475", "Green_560", "RedEdge", "red (668 nm)"), "band 4, 2, 1 of 4 as red, green, blue"),
+        (("NIR", "Red", "Green"), "band 3 of 3 as grey"),
+        (("near-infrared", "infra red 2", "LWIR"), "band 1 of 3 as grey"),
+        ((None, None, None), "band 1, 2, 3 of 3 as red, green, blue"),
+        ((None, None, None, None, None), "band 1 of 5 as grey"),
+    ],
+)
+@pytest.mark.parametrize("photometric", ["RGB", "MINISBLACK"])
+def test_colours_are_found_by_the_names_of_bands(
+    tmp_path: Path, dem: Path, names: tuple[str, ...], words: str, photometric: str
+) -> None:
+    """False colours are read as grey, whatever drivers write as the colours of the first three bands."""
+    bands = np.stack([np.full((SIZE, SIZE), 40 * k + 30, np.uint8) for k in range(len(names))])
+    image = store(tmp_path / "i.tif", bands, HERE, photometric=photometric)
+    with rasterio.open(image, "r+") as d:
+        d.descriptions = names
+    if photometric == "RGB" and not any(names):
+        words = f"band 1, 2, 3 of {len(names)} as red, green, blue"
+    ground = read_ground(dem, "0.01", image, 0.05)
+    assert words in ground.settled
+    assert ("grey" in words) == any("as grey" in w for w in ground.warnings)
+    numbers = [int(n) for n in words[5:].split(" of")[0].split(", ")]
+    assert ground.image is not None
+    assert np.array_equal(ground.image[0, 0], np.squeeze([40 * n - 10 for n in numbers]))
 
 
 @pytest.mark.parametrize(("pixels", "factor"), [(1, 1), (3, 2), (5, 4), (0.5, 1)])
@@ -408,3 +483,13 @@ def test_a_geoid_is_read_in_metres(tmp_path: Path, case: str) -> None:
             separation_at(path, 48.1, 15.44)
         return
     assert separation_at(path, 48.1, 15.44) == pytest.approx(39.94, abs=6e-3)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", None])
+def test_terrain_in_degrees_is_no_geoid(tmp_path: Path, crs: str | None) -> None:
+    """A coast: low heights, flat at the position itself."""
+    z = 0.5 + np.zeros((100, 100))
+    z[:40] = np.linspace(30.0, 1.0, 40)[:, None]
+    path = store(tmp_path / "dem.tif", z, Affine(1 / 3600, 0, 10, 0, -1 / 3600, 48), crs)
+    with pytest.raises(InputError, match="is no geoid"):
+        separation_at(path, 48 - 50.5 / 3600, 10 + 50.5 / 3600)

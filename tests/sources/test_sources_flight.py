@@ -12,6 +12,7 @@ import damage as d
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from alight.records import Event, Frame, ImuSample, InputError, NavSample
 from alight.runner.opening import open_source
@@ -430,7 +431,10 @@ def shifted(flight: Path, shifts: tuple[Any, Any], *assignments: str) -> Source:
         ((-0.08, -0.08), 0.0, (0.08, 0.08), 0),  # Kalibr: t_imu = t_cam + timeshift
         ((0.0123456, 0.0123456), 0.0, (-0.0123456, -0.0123456), 0),
         ((-0.08, -0.2), 0.0, (0.08, 0.2), 0),  # exposed together, stamped apart
-        ((-0.08, None), 0.0, (0.08, 0.0), 0),
+        ((-0.08, None), 0.0, (0.08, 0.0), 1),  # each stamped by another clock
+        ((-0.08, None), 0.0, (0.08, 0.08), 1),  # one trigger
+        ((None, -0.08), 0.0, (0.08, 0.08), 1),
+        ((-0.08, None), 0.07, (0.0, 0.0), 2),
         ((None, None), 0.07, (0.0, 0.0), 0),
         ((-0.08, -0.08), 0.07, (0.0, 0.0), 1),  # the filter subtracts the user's offset: not twice
         ((-0.08, -0.2), 0.07, (0.0, 0.12), 1),
@@ -449,6 +453,20 @@ def test_the_time_shift_of_a_camchain_is_used_once(
     assert [f.t_ns for f in found] == [d.T0 + k * d.STEP for k in range(6)]
     assert all(image is not None for f in found for image in f.images)
     assert sum("timeshift_cam_imu" in w for w in source.warnings) == warned
+
+
+def test_frames_of_12_bits_in_16_keep_their_contrast(flight: Path) -> None:
+    """All pictures of a camera by one range; the other camera has eight bits."""
+    folder = flight / "mav0" / "cam0" / "data"
+    for k, path in enumerate(sorted(folder.iterdir())):
+        grey = np.asarray(Image.open(path).convert("L")).astype(np.uint16)
+        Image.fromarray((grey // 2 + 20 * k) * 16).save(path)
+    source = opened(flight)
+    dark, *_, bright = (e.images for e in of_kind(source, Frame))
+    assert np.ptp(dark[0]) > 60
+    assert np.mean(bright[0]) > np.mean(dark[0]) + 40
+    np.testing.assert_array_equal(dark[1], next(e.images[1] for e in of_kind(opened(flight), Frame)))
+    assert list(source.notes["levels"]) == ["cam0"]
 
 
 @pytest.mark.parametrize("shift", ["late", [0.1, 0.2], float("nan")])

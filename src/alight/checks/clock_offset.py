@@ -56,6 +56,7 @@ def align(seconds: F64, seen: F64, predicted: PredictedMotion) -> ClockOffset:
     Args:
         seconds: (K,) s, ascending times of the observed motion, on the pictures' clock.
         seen: (K, D) observed motion, 1/s.
+        predicted: motion predicted from a log.
 
     Returns:
         the offset of the pictures' clock from the prediction's clock.

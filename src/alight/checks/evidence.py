@@ -82,7 +82,7 @@ class ImuTable(StreamTable):
 
 
 def integrated(seconds: F64, rates: F64) -> Rotation:
-    """Integrate angular rates (N, 3) in rad/s to (N,) orientations, relative to the first."""
+    """Integrate angular rates (N, 3), rad/s, at ascending times (N,), s, to (N,) orientations relative to the first."""
     turns = 0.5 * (rates[1:] + rates[:-1]) * np.diff(seconds)[:, None]
     path = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), turns]))
     reach = 1
@@ -107,7 +107,7 @@ class CameraEvidence:
     _edges_ns: int = -(2**62)  # time of the last of `edges`
 
     def add(self, t_ns: int, image: U8, seconds: float) -> None:
-        """Measure a picture taken `seconds` after the first exposure, unless the previous one is under 0.08 s older."""
+        """Measure a picture taken `seconds` after the first exposure; skip it within 0.08 s of the previous picture."""
         if self._last is not None and t_ns - self._last[0] < 0.08 * 1e9:
             return
         small, factor = downscaled(image, 640)

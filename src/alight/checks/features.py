@@ -48,7 +48,7 @@ def grid_of(lens: Camera) -> F64:
 
 
 def followed(then: U8, now: U8) -> tuple[F32, F32]:
-    """Track features forward and back (Lucas and Kanade 1981); return their (N, 2) pixels in both pictures."""
+    """Track features from grey picture `then` to `now` and back (Lucas and Kanade 1981); return both (N, 2) pixels."""
     found = cv2.goodFeaturesToTrack(then, 300, 0.005, max(3.0, max(then.shape) / 50.0))
     if found is None:
         return np.empty((0, 2), np.float32), np.empty((0, 2), np.float32)
@@ -64,6 +64,7 @@ def picture_flow(then: U8, now: U8, factor: int, lens: Camera, times_ns: tuple[i
     """Fit the homography between two small pictures of a camera; None if too few features agree.
 
     Args:
+        then, now: the earlier and the later picture, grey.
         factor: factor by which the pictures are smaller than full pictures of `lens`.
         times_ns: times of both pictures.
     """
@@ -107,7 +108,10 @@ def _described(image: U8) -> tuple[F64, F64]:
 
 
 def _nearest(a: F64, b: F64) -> I64:
-    """Return the index of the nearest row of `b` for each row of `a`; -1 if the second nearest is nearly as near."""
+    """Return the index of the nearest row of `b` for each row of `a`; -1 if the second nearest is nearly as near.
+
+    `a`, `b`: (N, D) and (M, D), rows of length 1.
+    """
     likeness = a @ b.T  # unit length: the nearer, the larger
     best = np.argmax(likeness, axis=1)
     rows = np.arange(len(a))

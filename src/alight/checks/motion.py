@@ -56,7 +56,10 @@ def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult]
 
 
 def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: RigEvidence) -> CheckResult:
-    """Check each mounting for a wrong quarter or half turn, by the flow that each of the 24 rotations predicts."""
+    """Check each mounting for a wrong quarter or half turn, by the flow that each of the 24 rotations predicts.
+
+    `usable`: flow by name of the camera; `motion`: motion of the body with which it was predicted.
+    """
     if motion.velocity_world is None:
         return unknown(CHECKS[0], "needs velocity and attitude of GPS/INS")
     words, doubt, turned = list[str](), list[str](), list[str]()
@@ -88,7 +91,10 @@ def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: Ri
 
 
 def _other_attitude(usable: dict[str, PredictedFlow], evidence: RigEvidence) -> tuple[str, str] | None:
-    """Return the attitude convention that explains the flow of every camera, and its remedy; None if there is none."""
+    """Return the attitude convention that explains the flow of every camera, and its remedy; None if there is none.
+
+    `usable`: see `_mounting`.
+    """
     nav = evidence.nav.measured("world_from_body")
     cameras = {c.name: (e, c.body_from_cam) for c, e in zip(evidence.rig.cameras, evidence.cameras, strict=True)}
     for what, (attitudes, mend) in attitude_readings(nav.world_from_body).items():
@@ -102,7 +108,10 @@ def _other_attitude(usable: dict[str, PredictedFlow], evidence: RigEvidence) -> 
 
 
 def _tilt(mounting: CheckResult, fits: dict[str, FlowFit]) -> CheckResult:
-    """Return the mounting result after a check for mounting errors of some degrees."""
+    """Check mountings for errors of some degrees; return the new result.
+
+    `mounting`: result of `_mounting`, which is returned if it is not good; `fits`: fit by name of the camera.
+    """
     if mounting.verdict is not Judged.GOOD:
         return mounting
     found, vague = Check(mounting.name, [mounting.evidence]), False

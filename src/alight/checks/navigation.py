@@ -37,14 +37,14 @@ def named_axes(turn: F64) -> str:
 
 @dataclass(frozen=True, eq=False)
 class TurnWindows:
-    """Turns of the body in each window, by the IMU and by the attitude of GPS/INS."""
+    """Turns of the body in K windows, as rotation vectors, by the IMU and by the attitude of GPS/INS."""
 
     imu: F64  # (K, 3) rad
     nav: F64  # (K, 3) rad
     summed: F64  # (K, 3) rad: sum of the IMU's rates per axis, which cannot wrap whatever the unit
 
     def unexplained(self, body_from_imu: F64) -> float:
-        """Return the share of the turns that an IMU with assumed axes leaves unexplained, about the worst axis."""
+        """Return the share of turns that an IMU with axes `body_from_imu` leaves unexplained, about the worst axis."""
         off, turned = (
             np.array([trimmed_rms(column) for column in _centred(x).T])  # without the bias of the gyroscope
             for x in (self.imu @ np.asarray(body_from_imu).T - self.nav, self.nav)
@@ -106,13 +106,19 @@ class NavAndImu:
         )  # fmt: skip
 
     def unexplained(self, attitudes: F64, turns: Sequence[F64]) -> F64:
-        """Return the unexplained share of the turns for each `body_from_imu` in `turns`, at the best clock lag."""
+        """Return the unexplained share of the turns for each `body_from_imu` in `turns`, at the best clock lag.
+
+        `attitudes`: see `turns`.
+        """
         lags = (0.05 * k for k in range(-6, 7))  # s
         tables = [t for lag in lags if (t := self.turns(attitudes, lag)).enough]
         return np.array([min((t.unexplained(m) for t in tables), default=0.0) for m in turns])
 
     def mean_up(self, attitudes: F64, body_from_imu: F64) -> F64 | None:
-        """Return mean specific force minus mean acceleration, (3,) m/s^2, ENU: ideally 9.8 up; None if unknown."""
+        """Return mean specific force minus mean acceleration, (3,) m/s^2, ENU: ideally 9.8 up; None if unknown.
+
+        `attitudes`: see `turns`; `body_from_imu`: (3, 3) assumed axes of the IMU.
+        """
         origin = int(self.nav.t_ns[0])
         s, t = seconds_since(self.nav.t_ns, origin), seconds_since(self.imu.t_ns, origin)
         inside = (t >= s[0]) & (t <= s[-1])
@@ -124,7 +130,7 @@ class NavAndImu:
         return np.asarray(mean - (v[-1] - v[0]) / (s[-1] - s[0]) if len(v) > 1 else mean)
 
     def is_upright(self, attitudes: F64, body_from_imu: F64) -> bool:
-        """Whether the mean specific force points up, or is unknown."""
+        """Whether the mean specific force points up or is unknown; see `mean_up` for the arguments."""
         force = self.mean_up(attitudes, body_from_imu)
         if force is None:
             return True
@@ -132,7 +138,7 @@ class NavAndImu:
         return size > 1e-3 and float(np.arccos(np.clip(force[2] / size, -1, 1))) < 0.35  # rad
 
     def fitting(self, attitudes: F64, turns: Sequence[F64]) -> list[F64]:
-        """Return the `body_from_imu` in `turns` that agree with gravity and with the attitudes' turns, best first."""
+        """Return the `body_from_imu` in `turns` that fit gravity and the turns of `attitudes` (N, 3, 3), best first."""
         upright = [m for m in turns if self.is_upright(attitudes, m)]
         left = self.unexplained(attitudes, upright)
         return [upright[k] for k in np.argsort(left, kind="stable") if left[k] < AGREES]
@@ -289,7 +295,13 @@ def _scaled(name: str, scale: float, travel: float) -> CheckResult:
 
 
 def _explained(s: F64, v: F64, begins: I64, ends: I64, steps: F64) -> tuple[float, float]:
-    """Return the share of position steps (K, 3), m, that velocities `v` leave unexplained, and the scale of `v`."""
+    """Return the share of position steps that velocities leave unexplained, and the velocities' scale (1: m/s).
+
+    Args:
+        s, v: (N,) s and (N, 3), times and velocities in order of time.
+        begins, ends: (K,) indices in `s` at which the steps begin and end.
+        steps: (K, 3) metres, from position to position.
+    """
     way = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(s)[:, None], axis=0)])
     integral = way[ends] - way[begins]
     square = (integral * steps).sum(axis=1)

@@ -16,7 +16,7 @@ STEP = 0.12  # share of the longer side by which the ground has moved between tw
 
 
 class Brightness(NamedTuple):
-    """Grey values of one picture."""
+    """Statistics of the grey values, 0 to 255, of one picture."""
 
     saturated: float  # share of the pixels
     black: float  # share of the pixels

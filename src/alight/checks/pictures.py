@@ -38,7 +38,7 @@ def check_exposure(evidence: RigEvidence) -> CheckResult:
 
 
 def _flicker(means: F64) -> float:
-    """Return the median deviation of a picture's log mean grey from the mean of the pictures before and after it."""
+    """Return the median deviation of the log of mean greys (N,) from the mean of the pictures before and after each."""
     if len(means) < 5:
         return 0.0
     logs = np.log(np.maximum(means, 1.0))

@@ -51,7 +51,7 @@ class BodyMotion:
 
 
 def body_motion(nav: NavTable, imu: ImuTable, origin_ns: int) -> BodyMotion | None:
-    """Return the motion by gyroscope and GPS/INS; None if there is neither a gyroscope nor an attitude."""
+    """Return the motion by gyroscope and GPS/INS, in s from `origin_ns`; None: gyroscope and attitude are missing."""
     known, inertial = nav.measured("world_from_body").in_order(), imu.in_order()
     t, s = (seconds_since(table.t_ns, origin_ns) for table in (known, inertial))
     attitude = Slerp(t, Rotation.from_matrix(known.world_from_body)) if len(t) > 2 else None
@@ -73,7 +73,12 @@ def body_motion(nav: NavTable, imu: ImuTable, origin_ns: int) -> BodyMotion | No
 
 
 def _bias(turning: Slerp, attitude: Slerp, s: F64, t: F64) -> tuple[F64, float]:
-    """Return the bias of the rates against the attitude, (3,) rad/s, and its sigma, from windows of one second."""
+    """Return the gyro bias, (3,) rad/s, and its sigma, from the turns by both sensors in windows of one second.
+
+    Args:
+        turning, attitude: orientations by the gyroscope and by GPS/INS, as functions of time.
+        s, t: times, s, of the samples of `turning` and of `attitude`.
+    """
     begin = np.arange(max(s[0], t[0]), min(s[-1], t[-1]) - 1.0, 0.5)
     if len(begin) < 4:
         return np.zeros(3), FREE_BIAS
@@ -91,7 +96,7 @@ class FlowFit:
     parameters: F64  # (10,) see `OFFSET`
     sigma: F64  # (10,)
     unexplained: float  # share of the flow that is left with these parameters
-    depth_seconds: F64  # (K,)
+    depth_seconds: F64  # (K,) s from `origin_ns`, middle of each pair of exposures
     inverse_depth: F64  # (K,) 1/m along the optical axis, with mounting and focal length as calibrated
     normals: F64  # (K, 3) of the ground in the camera frame; NaN: unknown
     origin_ns: int
@@ -127,7 +132,7 @@ class PredictedFlow:
         self.flow = self.focal * np.linalg.norm(self._seen - self._spots, axis=-1).mean(axis=-1)  # (K,) px
 
     def turned(self, mounting: Pose) -> PredictedFlow:
-        """Return a copy with another mounting."""
+        """Return a copy with another mounting, `body_from_cam`."""
         out = copy(self)
         out._mounting = mounting
         return out
@@ -140,7 +145,7 @@ class PredictedFlow:
         return float(np.median(down @ self._mounting.rotation[:, 2]))
 
     def residuals(self, parameters: F64) -> tuple[F64, F64]:
-        """Return the (K, 18) px of unexplained flow, and the (K,) inverse depths, for (10,) parameters."""
+        """Return the (K, 18) px of unexplained flow, and (K,) inverse depths, for parameters (10,) (see `OFFSET`)."""
         m = self._motion
         offset, focal = parameters[OFFSET], np.exp(parameters[FOCAL])
         body_from_cam = self._mounting.rotation @ Rotation.from_rotvec(parameters[MOUNTING]).as_matrix()
@@ -158,7 +163,15 @@ class PredictedFlow:
         return left.reshape(len(left), -1) * self.focal * focal, depth
 
     def _arms(self, y: F64, x0: F64, t0: F64, t1: F64, body_from_cam: F64, slope: F64) -> F64:
-        """Return how the flow (K, 9, 2, P) depends on inverse depth (P = 1) or, without velocity, on motion (P = 3)."""
+        """Return the flow (K, 9, 2, P) per unit of inverse depth (P = 1) or, without velocity, of translation (P = 3).
+
+        Args:
+            y: (K, 9, 2) observed points of the later pictures, turned into the axes of the earlier ones.
+            x0: (9, 3) rays of the points in the earlier pictures.
+            t0, t1: (K,) s, times of both pictures of each pair, on the clock of the motion.
+            body_from_cam: (3, 3) rotation.
+            slope: (2,) slope of the ground; see `upward`.
+        """
         m = self._motion
         if m.velocity_world is None or m.attitude is None:
             free = np.zeros((len(y), x0.shape[0], 2, 3))
@@ -179,7 +192,7 @@ class PredictedFlow:
         return np.asarray(flow[..., None])
 
     def _normals(self, parameters: F64) -> F64:
-        """Return the (K, 3) normals of the ground in the camera frame in the middle of each pair; NaN if unknown."""
+        """Return the (K, 3) normals of the ground, camera frame, in the middle of each pair; NaN without attitude."""
         m = self._motion
         if m.attitude is None:
             return np.full((self.pairs, 3), np.nan)
@@ -188,7 +201,7 @@ class PredictedFlow:
         return np.asarray(np.einsum("kij,i->kj", world_from_cam, upward(parameters[GROUND])))
 
     def cost(self, parameters: F64) -> float:
-        """Return the median of the pairs' unexplained flow, px."""
+        """Return the median of the pairs' unexplained flow, px, for parameters (10,)."""
         return float(np.median(_length(self.residuals(parameters)[0])))
 
     def scan(self, offsets: F64) -> tuple[float, float]:
@@ -226,7 +239,10 @@ class PredictedFlow:
         return FlowFit(p, sigma, unexplained, middle, depth, normals, self._motion.origin_ns, self.focal)
 
     def _normal(self, p: F64) -> tuple[F64, F64, F64, F64]:
-        """Return residuals, normal matrix, gradient and (K, 10) gradients per pair at parameters `p`, with priors."""
+        """Return residuals (K, 18), normal matrix (10, 10), gradient (10,), and gradient per pair (K, 10) at `p` (10,).
+
+        Matrix and gradient include the priors; the gradients per pair do not.
+        """
         r, _ = self.residuals(p)
         J = np.stack([(self.residuals(p + e)[0] - self.residuals(p - e)[0]) / (2 * s)
                       for e, s in zip(np.diag(_STEPS), _STEPS, strict=True)], axis=-1)  # (K, 18, 10)  # fmt: skip
@@ -250,7 +266,10 @@ def _length(residuals: F64) -> F64:
 
 
 def _least_squares(off: F64, arms: F64) -> tuple[F64, F64]:
-    """Fit flow (K, 9, 2) by P free factors on `arms`; return residual (K, 9, 2), inverse depth (K,), NaN if P = 3."""
+    """Fit flow `off` (K, 9, 2) by P free factors of `arms` (K, 9, 2, P) per pair.
+
+    Return the residual (K, 9, 2), and the inverse depth (K,): the factor if P = 1, NaN if P = 3.
+    """
     if arms.shape[-1] == 1:
         a = arms[..., 0]
         depth = np.maximum((a * off).sum(axis=(1, 2)) / np.maximum((a * a).sum(axis=(1, 2)), 1e-12), 0.0)

@@ -20,8 +20,8 @@ class Sampling(NamedTuple):
 
     rate: float  # Hz, from the median interval
     missing: float  # share of the samples, between the first and the last
-    repeated: int
-    backwards: int
+    repeated: int  # number of times that an earlier sample has
+    backwards: int  # number of times before the time of the previous sample
 
     @property
     def disorder(self) -> str:

@@ -131,7 +131,10 @@ def _judged(case: StereoCase, flow: FlowFit | None) -> CheckResult:
 
 
 def _reversed(name: str, evidence: str, own: float, swapped: float) -> CheckResult:
-    """Return the result for negative depths, by the misfits as calibrated (`own`) and with the cameras `swapped`."""
+    """Return the result for negative depths; `evidence`: measurements so far, as text.
+
+    `own`, `swapped`: epipolar residuals, px RMS, as calibrated and with the cameras exchanged.
+    """
     sign = "turn the sign of the translation in T_BS of the cameras (baseline)"
     if swapped < 0.7 * own and own > 0.25:
         return bad(name, f"{evidence}: the cameras are exchanged", EXCHANGE)
@@ -209,7 +212,10 @@ def _stale(case: StereoCase, evidence: str, own: float) -> CheckResult:
 
 
 def _of_depth(case: StereoCase, evidence: str, flow: FlowFit) -> CheckResult:
-    """Check the stereo depths against the depths of flow and GPS/INS; call it only if the epipolar lines are right."""
+    """Check the stereo depths against the depths of flow and GPS/INS; call it only if the epipolar lines are right.
+
+    `evidence`: measurements so far, as text.
+    """
     rho, disparity = case.pair.depths(case.as_is)
     seconds = (case.t_ns - flow.origin_ns) * 1e-9
     times, at = np.unique(seconds, return_inverse=True)

@@ -58,7 +58,7 @@ def _top(
 
 
 def _smaller(words: Sequence[str]) -> str:
-    """Return advice for less memory, from the words of the command line; assigned settings are named first."""
+    """Return advice on how to use less memory; settings assigned in `words`, the command line, are named first."""
     command = next((w for w in words if not w.startswith("-")), "")
     usual = SMALLER.get(command, "choose a larger parallax.cell or a smaller parallax.store_mb")
     given = [w for option, w in pairwise(words) if option == "--set"]

@@ -84,7 +84,10 @@ def scene_card(name: str, description: str, picture: Path) -> Table:
 
 
 def half_blocks(picture: Path, cols: int = 32, rows: int = 12) -> Text:
-    """Return a picture as coloured half-block characters, two pixels per character; empty if it cannot be read."""
+    """Return a picture as coloured half-block characters, two pixels per character; empty if it cannot be read.
+
+    `cols`, `rows`: largest size of the text, characters.
+    """
     import cv2
 
     out, image = Text(no_wrap=True), cv2.imread(str(picture), cv2.IMREAD_COLOR_RGB)

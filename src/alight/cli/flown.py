@@ -40,6 +40,7 @@ class FlightOptions(options.RouteOptions):
 
         Args:
             source: a recording, a folder, or cameras.
+            follow, speed: options of `alight live`; see `LiveOptions`.
 
         Raises:
             InputError: an option has no effect; the message names it.

@@ -114,9 +114,10 @@ def print_answer(sites: Sites, place: Callable[[Sequence[float]], str], more: st
 def _numbers(site: Site, place: Callable[[Sequence[float]], str]) -> str:
     from alight.records import p_safe_text
 
+    name, but = ("P(safe)", "") if math.isfinite(site.p_ground) else ("P(shape)", ", ground not judged")
     return (
         f"{place([site.east, site.north, site.up])}  slope {math.degrees(site.slope):.1f} deg  "
-        f"rough {site.roughness:.2f} m  clear {site.clearance:.1f} m  P(safe) {p_safe_text(site.p_safe)}"
+        f"rough {site.roughness:.2f} m  clear {site.clearance:.1f} m  {name} {p_safe_text(site.p_safe)}{but}"
     )
 
 
@@ -141,7 +142,10 @@ def print_result(result: RunResult) -> None:
 
 
 def save_result(result: RunResult, out: Path, force: bool) -> None:
-    """Print the answer first, in case the folder cannot be written; then write it and print its report's path."""
+    """Print the answer of a run, write the folder `out`, and print the path of the report in it.
+
+    The answer comes first, in case the folder cannot be written. `force`: whether `out` may hold other files.
+    """
     from alight.outputs import write_run
 
     print_result(result)

@@ -85,7 +85,7 @@ class TiledElevation:
                 layer = self.layers[layer.level + 1]
 
     def _pass_on(self, layer: TileLayer, grid: Grid) -> Grid:
-        """Write the 2 x 2 means of a grid's cells into the next coarser layer; return the grid of the coarse cells."""
+        """Write 2 x 2 means of a layer's cells on a grid into the next coarser layer; return the coarse grid."""
         south, north, west, east = (n // 2 for n in layer.numbers(grid))
         means = halve_fields(layer.read(layer.cells(2 * south, 2 * north + 1, 2 * west, 2 * east + 1)))
         coarser = self.layers[layer.level + 1]
@@ -94,7 +94,10 @@ class TiledElevation:
         return above
 
     def _known(self, layer: TileLayer, grid: Grid, inflation: float) -> Fields:
-        """Return the layer's fields on a grid; unseen cells come from coarser layers, sigma times `inflation`."""
+        """Return the layer's fields on a grid; unseen cells come from coarser layers, with sigma times `inflation`.
+
+        The factor is applied once per level.
+        """
         out = layer.read(grid)
         seen = is_seen(out["flags"])
         coarser = self.layers.get(layer.level + 1)
@@ -120,7 +123,7 @@ class TiledElevation:
         return ElevationMap(grid, **self._known(self._layer_of(grid), grid, 1.0))  # type: ignore[arg-type]
 
     def start(self, grid: Grid) -> ElevationMap:
-        """Return the initial heights of a parallax step, like `read`, with sigma inflated on coarser levels."""
+        """Return the heights from which a parallax step starts: `read`, with inflated sigma from coarser levels."""
         inflated = self._known(self._layer_of(grid), grid, self._tuning.less_sure)
         return ElevationMap(grid, **inflated)  # type: ignore[arg-type]
 
@@ -146,7 +149,10 @@ class TiledElevation:
 
 
 def _about(boxes: dict[int, tuple[int, int, int, int]], level: int) -> tuple[int, int, int, int]:
-    """Return the rectangle around boxes of several levels, in cell numbers of `level`, of even rows and columns."""
+    """Return the rectangle around boxes of several levels, in cell numbers of `level`, with even rows and columns.
+
+    `boxes`: by level, as from `TileLayer.box`.
+    """
     scale = {k: 2.0 ** (k - level) for k in boxes}
     south, west = (min(math.floor(b[i] * scale[k]) for k, b in boxes.items()) for i in (0, 2))
     north, east = (max(math.ceil((b[i] + 1) * scale[k]) - 1 for k, b in boxes.items()) for i in (1, 3))

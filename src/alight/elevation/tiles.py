@@ -55,7 +55,7 @@ def unpack_tile(packed: bytes, side: int) -> Fields:
 
 
 def is_seen(flags: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """Return the mask of seen cells."""
+    """Return the mask of seen cells, from flags of any shape."""
     return ~is_flagged(flags, Flag.UNSEEN)
 
 
@@ -103,7 +103,7 @@ class TileLayer:
         return self.cells(r0, r1, c0, c1)
 
     def cells(self, south: int, north: int, west: int, east: int) -> Grid:
-        """Return the grid of the cells between these cell numbers, first and last included."""
+        """Return the grid of the cells between these cell numbers, both ends included; numbers grow north and east."""
         return Grid((west + 0.5) * self.cell, (north + 0.5) * self.cell, self.cell, north - south + 1, east - west + 1)
 
     def numbers(self, grid: Grid) -> tuple[int, int, int, int]:

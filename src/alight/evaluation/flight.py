@@ -105,7 +105,7 @@ class _Comparison:
         self.out.put(name + self.suffix, value)
 
     def at(self, raster: NDArray[Any], grid: Grid) -> NDArray[Any]:
-        """Return the values of a truth raster at the cells of the run's map."""
+        """Return the values of a raster of the truth at the cells of `grid`, which is a grid of the run."""
         east, north = np.meshgrid(*grid.xy())
         return self.truth.grid.nearest_at(raster, east - self.offset[0], north - self.offset[1])
 
@@ -218,7 +218,7 @@ def robust(A: F64, y: F64) -> F64:
 
 
 def share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
-    """Return the number of cells of `part` as a percentage of the number of cells of `whole`."""
+    """Return the number of True cells of `part` as a percentage of the number of True cells of `whole`."""
     return 100 * float(part.sum() / max(whole.sum(), 1))
 
 
@@ -246,7 +246,7 @@ def position_errors(run: Run, truth: Trajectory) -> tuple[F64, F64]:
 
 
 def trajectory(d: F64, r: F64, out: Evaluation) -> None:
-    """Add the statistics of position errors `d` and rotation errors `r` to the evaluation."""
+    """Add the statistics of position errors `d` (N, 3), m, and rotation errors `r` (N, 3), rad, to the evaluation."""
     out.put("position RMSE, m", rms(np.linalg.norm(d, axis=1)))
     out.put("position mean error (east, north, up), m", " ".join(f"{v:.3f}" for v in d.mean(0)))
     out.put("position RMSE less a constant, m", rms(np.linalg.norm(d - d.mean(0), axis=1)))

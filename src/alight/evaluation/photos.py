@@ -34,7 +34,7 @@ SLAB = {"points": (-1, 3), "inlier": (-1,)}
 
 
 def interpolated(height: NDArray[np.float32], grid: Grid, east: F64, north: F64) -> F64:
-    """Interpolate heights bilinearly at positions, metres; the nearest cell if a neighbouring cell is missing."""
+    """Interpolate heights (R, C) bilinearly at positions, metres; if a neighbour is missing, take the nearest cell."""
     r, c = (i.astype(np.float32) for i in grid.index(east, north))
     source = height.astype(np.float64)
     linear = cv2.remap(source, c, r, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan).ravel()
@@ -43,7 +43,7 @@ def interpolated(height: NDArray[np.float32], grid: Grid, east: F64, north: F64)
 
 
 def plane_of(points: F64, errors: F64) -> tuple[F64, F64]:
-    """Fit a plane a east + b north + c to errors, without outliers; return (a, b, c) and all residuals."""
+    """Fit a east + b north + c to errors (N,) at points (N, 3), without outliers; return (a, b, c) and residuals."""
     X = np.c_[points[:, :2], np.ones(len(points))]
     use = np.abs(errors - np.median(errors)) < max(5 * nmad(errors), 0.05)
     for _ in range(2):
@@ -54,7 +54,7 @@ def plane_of(points: F64, errors: F64) -> tuple[F64, F64]:
 
 
 def slab_of(points: F64, inlier: NDArray[np.bool_], grid: Grid) -> NDArray[np.bool_]:
-    """Return the mask of a flat slab, (R, C): the cells of its inlier points, with gaps up to 1 m closed."""
+    """Return the mask of a flat slab, (R, C): the cells of its points `inlier` (N,), with gaps up to 1 m closed."""
     r, c = (np.rint(i).astype(int) for i in grid.index(points[inlier, 0], points[inlier, 1]))
     inside = (r >= 0) & (r < grid.rows) & (c >= 0) & (c < grid.cols)
     mask = np.zeros(grid.shape, np.uint8)
@@ -64,7 +64,7 @@ def slab_of(points: F64, inlier: NDArray[np.bool_], grid: Grid) -> NDArray[np.bo
 
 
 def high_pass(height: F64, cell: float) -> F64:
-    """Subtract the mean over 1 m from heights."""
+    """Subtract from heights (R, C) their mean over 1 m; `cell`: metres."""
     known = np.isfinite(height)
     k = (round(1.0 / cell) | 1,) * 2
     weight = cv2.blur(known.astype(np.float64), k)

@@ -24,12 +24,12 @@ class Camera:
             wrong.
     """
 
-    width: int
-    height: int
-    fu: float
-    fv: float
-    cu: float
-    cv: float
+    width: int  # pixels
+    height: int  # pixels
+    fu: float  # pixels, focal length along a row
+    fv: float  # pixels, focal length along a column
+    cu: float  # pixels, column of the principal point; (0, 0) is the centre of the first pixel
+    cv: float  # pixels, row of the principal point
     model: str = "none"  # none, radial-tangential or equidistant
     distortion: tuple[float, ...] = ()  # k1 k2 p1 p2 [k3] (radial-tangential) or k1 k2 k3 k4 (equidistant)
 
@@ -50,7 +50,7 @@ class Camera:
 
     @property
     def code(self) -> int:
-        """Code of the distortion model in the compiled loops."""
+        """Number of the distortion model in the compiled loops: 0 none, 1 radial-tangential, 2 equidistant."""
         return _MODELS.index(self.model)
 
     @property
@@ -92,7 +92,7 @@ class Camera:
         )
 
     def undistort(self, distorted: ArrayLike, iterations: int = 20) -> F64:
-        """Convert (..., 2) distorted normalised coordinates to ideal ones by Newton steps with a numerical Jacobian."""
+        """Convert (..., 2) distorted normalised coordinates to ideal ones, by at most `iterations` Newton steps."""
         target = np.asarray(distorted, dtype=np.float64)
         if self.model == "none":
             return target

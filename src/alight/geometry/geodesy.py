@@ -92,9 +92,9 @@ class LocalFrame:
 
 
 def ellipsoid_fall(grid: Grid) -> F64:
-    """Compute how far the ellipsoid falls below the tangent plane at the origin, (R, C) metres.
+    """Compute how far the ellipsoid lies below the tangent plane at the world's origin, (R, C) metres, at each cell.
 
-    The fall is d^2 / 2R at the distance d from the origin, with the mean Earth radius R: 7 mm at 300 m.
+    At the distance d from the origin it lies d^2 / (2 r) lower, with the mean Earth radius r: 7 mm at 300 m.
     """
     east, north = grid.xy()
     return np.asarray((east[None, :] ** 2 + north[:, None] ** 2) / (2 * _MEAN_RADIUS))

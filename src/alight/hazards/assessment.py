@@ -90,7 +90,8 @@ def assess(
 
     Args:
         elevation: heights; cells that a flag refuses are treated as unknown.
-        land_cover: classes, which can refuse a touchdown but never permit one; None: unknown.
+        land_cover: classes, which can refuse a touchdown but never permit one; None: the kind of ground is not
+            judged, and `p_ground` is NaN.
         lander: shape and limits of the vehicle.
         settings: limits of the judgement.
         missing: vetoes that could not be applied for want of data.
@@ -121,6 +122,8 @@ def assess(
         factor[~judged] = np.nan
     p = f.relief * f.obstacle * f.ground * p_wires
     p[judged & (reasons != 0)] = 0
+    if land_cover is None:
+        f.ground[:] = np.nan
     _refuse(reasons, judged & (reasons == 0) & ~is_site(p, settings.p_safe), Hazard.DOUBT)
     return HazardMap(
         grid=elevation.grid, slope=slope, roughness=roughness, step=step,

@@ -15,7 +15,7 @@ from scipy.special import ndtr, ndtri
 
 from alight.arrays import F32
 from alight.hazards.detection import Detection, read_detection
-from alight.hazards.evidence import Discs, Evidence, evidence_of, widths
+from alight.hazards.evidence import Discs, Evidence, evidence_of, ground_terms, widths
 from alight.hazards.touchdown import CERTAIN, NO_NOISE, Inputs, Touchdowns
 from alight.learned import read_floors, read_rate
 from alight.raster import log_at_least
@@ -34,7 +34,7 @@ class SafetyFactors:
 
     relief: F32
     obstacle: F32
-    ground: F32
+    ground: F32  # without a land cover: of the evidence that heights and pictures give
     resolved: F32  # metres, height of the smallest obstacle found with probability `FOUND`
     settles_at: F32  # metres, width of a pixel on the ground that would settle the doubt; NaN: no width would
 
@@ -45,9 +45,13 @@ def factors_of(t: Touchdowns, on: Inputs, missing: MissingVeto) -> SafetyFactors
     if on.settings.smoothed:
         return _of_matched_heights(t, margins, on, missing)
     hidden = np.float32(on.settings.hidden_hazard) * t.footprint.unknown
-    relief, like = kept([*margins.vehicle, *margins.deviation]) * (1 - hidden), margins.tilt
-    never = np.full_like(like, np.nan)
-    return SafetyFactors(relief, _beyond_cells(on), np.ones_like(like), np.full_like(like, on.cell), never)
+    relief = kept([*margins.vehicle, *margins.deviation]) * (1 - hidden)
+    ground, never = np.ones_like(relief), np.full_like(relief, np.nan)
+    if on.land_cover is not None:
+        discs = Discs(on.elevation.grid, on.lander.ground_reach)
+        wet = _wet(ground_terms(on.elevation, on.land_cover, discs))
+        ground = discs.fine(_p_ground(wet, discs, on, missing))
+    return SafetyFactors(relief, _beyond_cells(on), ground, np.full_like(relief, on.cell), never)
 
 
 def _of_matched_heights(t: Touchdowns, margins: Margins, on: Inputs, missing: MissingVeto) -> SafetyFactors:
@@ -78,16 +82,27 @@ def _beyond_cells(on: Inputs) -> F32:
 def _chances(found: Evidence, on: Inputs, missing: MissingVeto) -> tuple[F32, F32]:
     """Compute the probabilities, (R, C), of no unseen obstacle in the footprint, and of firm, dry ground."""
     usual = np.float32(math.pi * on.lander.ground_reach**2) * _density(on, found.discs)
-    shown, about, wet = (np.exp(read_rate(f"{k}_rate").log_rate(found.terms)) for k in ("relief", "density", "ground"))
+    shown, about = (np.exp(read_rate(f"{k}_rate").log_rate(found.terms)) for k in ("relief", "density"))
     afar = shown + np.maximum(found.hidden * about, found.unseen * usual)
     expected = {
         "obstacle": _blended(afar, "near_obstacle_rate", found),
-        "ground": _blended(wet, "near_ground_rate", found),
+        "ground": _blended(_wet(found.terms), "near_ground_rate", found),
     }
     expected = with_floors(expected, found.terms, {"all": found.near, "heights": found.near_by_heights})
     hazards = expected["obstacle"] + found.near * found.unseen * usual
-    wet = expected["ground"] + _unlike_dry_ground(on, found.discs) + np.float32(_unrefused(on, missing))
-    return found.discs.fine(np.exp(-hazards)), found.discs.fine(np.exp(-wet))
+    ground = _p_ground(expected["ground"], found.discs, on, missing)
+    return found.discs.fine(np.exp(-hazards)), found.discs.fine(ground)
+
+
+def _wet(terms: Mapping[str, F32]) -> F32:
+    """Return the expected hazards of soft or wet ground seen from afar, on the grid of the features `terms` (G7e)."""
+    return np.asarray(np.exp(read_rate("ground_rate").log_rate(terms)), np.float32)
+
+
+def _p_ground(wet: F32, discs: Discs, on: Inputs, missing: MissingVeto) -> F32:
+    """Compute the probability of firm, dry ground from the hazards that are expected by its look, `wet`."""
+    wet = wet + _unlike_dry_ground(on, discs) + np.float32(_unrefused(on, missing))
+    return np.asarray(np.exp(-wet), np.float32)
 
 
 def _blended(afar: F32, name: str, found: Evidence) -> F32:

@@ -274,4 +274,6 @@ def _refined(elevation: ElevationMap, z: F32, lit: Mask, image: U8, factor: int)
         rgb=rgb,
         residual=upsample(elevation.residual, factor),
         sampling=upsample(elevation.sampling, factor),
+        fine=None,
+        fine_sampling=np.full(rgb.shape[:2], elevation.grid.cell / factor, np.float32),
     )

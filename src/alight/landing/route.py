@@ -34,7 +34,7 @@ class _Corridor:
 
 
 def along_way(start: F64, to: F64, grid: Grid, width: float) -> tuple[F64, Mask]:
-    """Compute where each cell lies along the straight ground track from `start` to `to`, and which cells are near.
+    """Compute where cells lie along the straight track from `start` to `to`, east and north, and which are near.
 
     Returns:
         Position along the track, (R, C), 0 at `start` to 1 at `to`; mask of the cells within `width` metres.
@@ -93,7 +93,7 @@ class Obstructions:
 
 
 def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Mask) -> bool:
-    """Whether any cell of the ground track lies off the map or outside the mask `known`."""
+    """Whether any cell of the track from `start` to the site lies off the map or outside the mask `known` (R, C)."""
     grid = elevation.grid
     steps = 2 + int(math.hypot(site.east - start[0], site.north - start[1]) / grid.cell)
     east, north = np.linspace(start[0], site.east, steps), np.linspace(start[1], site.north, steps)
@@ -180,7 +180,10 @@ def _bearing(a: F64, b: F64, otherwise: float) -> float:
 def _stops(
     start: F64, site: Site, heights: tuple[float, float], settings: RouteSettings
 ) -> list[tuple[str, F64, bool]]:
-    """Return name, position and look (True: judge the ground from here) of every way-point after the start."""
+    """Return name, position and look (True: judge the ground from here) of every way-point after the start.
+
+    `heights`: metres, at which the transit begins and ends.
+    """
     begin, end = heights
     over = [site.east, site.north]
     approach = site.up + settings.approach_height

@@ -97,7 +97,7 @@ class _Choice:
     observer: Observer | None
 
     def score(self, allowed: Mask, clearance: F32) -> F64:
-        """Compute the score of each cell (G11) by quality, clearance, P(safe), distance; -inf where not `allowed`."""
+        """Compute the score of each cell (G11) by quality, clearance (R, C), P(safe), distance; -inf if not allowed."""
         hazards, settings = self.hazards, self.settings
         allowed = allowed & keeps_margin(clearance, settings.margin) & np.isfinite(hazards.quality)
         room = np.minimum(clearance / settings.roomy, 1.0)
@@ -111,7 +111,7 @@ class _Choice:
         return np.where(allowed, score, -np.inf)
 
     def candidate_score(self, clearance: F32) -> F64:
-        """Compute the score of each candidate (G11a), by mean P(safe) in steps, then by site score; -inf elsewhere."""
+        """Compute the score of candidates (G11a), (R, C): mean P(safe) in steps, then score of a site; else -inf."""
         hazards, step = self.hazards, self.settings.chance_step
         chance = disc_mean(np.nan_to_num(hazards.p_safe), self.settings.margin, hazards.grid.cell)
         score = self.score(hazards.reasons == np.uint16(Hazard.DOUBT), clearance)
@@ -131,7 +131,7 @@ class _Choice:
             "ground": float(hazards.p_ground[at]),
             "wires": 1.0 if hazards.p_wires is None else float(hazards.p_wires[at]),
         }
-        doubt: Doubt = min(factors, key=factors.__getitem__)
+        doubt: Doubt = min(factors, key=lambda k: np.nan_to_num(factors[k], nan=1.0))
         look = None
         if candidate and self.observer is not None:
             place, settles_at = np.array([east, north, up]), float(hazards.settles_at[at])
@@ -147,7 +147,7 @@ class _Choice:
         )  # fmt: skip
 
     def _height_at(self, east: float, north: float) -> tuple[float, float]:
-        """Return height and sigma, metres, over the footprint's trusted cells, or over all cells if none is trusted."""
+        """Return mean height and sigma, m, of the trusted cells of the footprint at a position; of all if none is."""
         e = self.elevation
         for reach in (self.lander.radius, self.lander.radius + self.hazards.grid.cell):
             rows, cols, disc = _footprint(e.grid, east, north, reach)
@@ -213,7 +213,7 @@ def choose_sites(
 
     Args:
         hazards: reasons against a touchdown, P(safe) with its factors, quality and clearance of every cell.
-        land_cover: classes to report for each site; None: unknown.
+        land_cover: classes to report for each site; None: the kind of ground was not judged.
         elevation: heights; its cells may be finer than the cells of the hazards.
         settings: number of sites, their least distance, and weights of the score.
         lander: the vehicle's footprint.
@@ -230,7 +230,8 @@ def choose_sites(
     undecided = _peaks(c.candidate_score(room), grid, settings.count - len(safe), apart, safe)
     sites = tuple(c.place(i + 1, at, hazards.clearance, False) for i, at in enumerate(safe))
     candidates = tuple(c.place(len(safe) + i + 1, at, room, True) for i, at in enumerate(undecided))
-    return Sites(sites, "" if sites else why_no_site(hazards, elevation, settings, lander), candidates=candidates)
+    reason = "" if sites else why_no_site(hazards, elevation, settings, lander)
+    return Sites(sites, reason, candidates=candidates, ground_judged=land_cover is not None)
 
 
 def why_no_site(hazards: HazardMap, elevation: ElevationMap, settings: SitesSettings, lander: Lander) -> str:

@@ -43,7 +43,7 @@ def downwind(wind: F64 | None, calm: float) -> F64 | None:
 
 
 def _parts(way: F64, wind: F64 | None) -> tuple[float, float]:
-    """Return the wind along a leg (tail wind positive) and the wind speed across it, m/s."""
+    """Return the wind along the leg `way` (tail wind positive) and the wind speed across it, m/s; 0 if unknown."""
     length = math.hypot(float(way[0]), float(way[1]))
     if wind is None or length < 1e-6:
         return 0.0, 0.0

@@ -49,7 +49,7 @@ def propagate(
 
 
 def _inertial(here: Step, m: Preintegral, first: Step) -> tuple[Step, F64, F64]:
-    """Propagate by the preintegrated inertial measurements `m` (M8; Forster et al. 2017)."""
+    """Propagate by inertial measurements `m` (M8; Forster et al. 2017); see `propagate` for arguments and result."""
     dt = m.dt
     after = Step(
         here.R @ m.rotation,
@@ -64,7 +64,7 @@ def _inertial(here: Step, m: Preintegral, first: Step) -> tuple[Step, F64, F64]:
 
 
 def _constant(here: Step, rate: F64, dt: float, noise: FilterSettings) -> tuple[Step, F64, F64]:
-    """Propagate at constant velocity and angular velocity `rate`, with white accelerations as noise (M9)."""
+    """Propagate at constant velocity and angular velocity, with white accelerations as noise (M9); see `propagate`."""
     turn = so3_exp(rate * dt)
     F, Q = np.eye(_SHAPE[0]), np.zeros(_SHAPE)
     F[AT.pos, AT.vel] = np.eye(3) * dt
@@ -80,9 +80,10 @@ def _constant(here: Step, rate: F64, dt: float, noise: FilterSettings) -> tuple[
 
 
 def _add_white_noise(Q: F64, value: slice, rate: slice, rotation: F64, density: float, dt: float) -> None:
-    """Set the covariance of a value and its rate after `dt` s, for white noise of `density` on the rate's derivative.
+    """Set, in the noise `Q` (15, 15), the covariance of a value and its rate after `dt` s of white noise.
 
-    `value` and `rate` are their rows in `Q`; `rotation` is from the axes of the rate to those of the value.
+    `value`, `rate`: their rows in `Q`. `rotation`: (3, 3) from the axes of the rate to those of the value.
+    `density`: spectral density of the noise on the derivative of the rate.
     """
     eye = np.eye(3)
     Q[value, value], Q[rate, rate] = eye * (density * dt**3 / 3.0), eye * (density * dt)

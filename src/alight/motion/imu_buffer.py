@@ -53,7 +53,7 @@ class ImuBuffer:
         return self._arrays
 
     def mean_rate(self, t_ns: int, half_ns: int) -> F64:
-        """Return the (3,) mean angular velocity, rad/s, of samples within `half_ns` of `t_ns`, else of the next one."""
+        """Return the mean angular velocity, (3,) rad/s, of samples within `half_ns` of `t_ns`, else of the next one."""
         first = min(int(np.searchsorted(self.times, t_ns - half_ns)), len(self) - 1)
         end = int(np.searchsorted(self.times, t_ns + half_ns, side="right"))
         some = self.rates[first : max(end, first + 1), :3]

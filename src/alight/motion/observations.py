@@ -26,7 +26,7 @@ def positions(ascending: I64, ids: I64) -> I64:
 
 
 def observation_sigma(tracks: Tracks, camera: Camera, noise: FilterSettings) -> F64:
-    """Return the (N,) 1-sigma of the features' normalised coordinates, proportional to 1 / sqrt(texture) (M13)."""
+    """Return the (N,) 1-sigma of the tracks' normalised coordinates, proportional to 1 / sqrt(texture) (M13)."""
     texture = np.full(len(tracks.ids), noise.texture_reference) if tracks.texture is None else tracks.texture
     relative = np.sqrt(noise.texture_reference / np.maximum(texture, 1e-9))
     return np.asarray(np.clip(relative, 0.5, 4.0) * (noise.pixel_sigma / camera.fu))
@@ -42,7 +42,7 @@ class WindowObservations:
 
     @classmethod
     def empty(cls, cameras: int) -> WindowObservations:
-        """Return a window without features and poses, for a number of `cameras`."""
+        """Return a window without features and poses; `cameras`: number of cameras."""
         return cls(np.empty(0, np.int64), np.empty((0, 0, cameras, 2)), np.empty((0, 0)))
 
     @property
@@ -90,7 +90,7 @@ class Clones:
     R: F64  # (K, 3, 3) world_from_rig
     p: F64  # (K, 3) m
     first_R: F64  # noqa: N815
-    first_p: F64
+    first_p: F64  # first estimates of R and p
 
     @classmethod
     def none(cls) -> Clones:
@@ -101,7 +101,7 @@ class Clones:
         return len(self.stamps)
 
     def with_pose(self, t_ns: int, R: F64, p: F64) -> Clones:
-        """Return the clones and, as the newest, the pose `R` (3, 3), `p` (3,) of the rig stamped `t_ns`."""
+        """Return the clones with the rig pose `R` (3, 3), `p` (3,), stamped `t_ns`, appended as the newest."""
         pairs = ((self.R, R), (self.p, p), (self.first_R, R), (self.first_p, p))
         return Clones((*self.stamps, t_ns), *(np.concatenate([old, new[None]]) for old, new in pairs))
 
@@ -112,7 +112,7 @@ class Clones:
         return Clones(tuple(self.stamps[i] for i in at), *arrays)
 
     def moved(self, error: F64) -> Clones:
-        """Return the clones with `error` (6K,) added, (rotation [rad], position [m]) each; first estimates stay."""
+        """Return the clones with `error` (6K,) added: rotation [rad], position [m] per clone; first estimates stay."""
         R, p = np.empty_like(self.R), np.empty_like(self.p)
         move_poses(self.R, self.p, error, R, p)
         return replace(self, R=R, p=p)

@@ -78,7 +78,7 @@ class PoseConstraint:
         return PoseConstraint(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def well_known(self, centre: F64, share: float) -> Mask:
-        """Return a mask (N,) of points whose largest 1-sigma is below `share` of their distance from `centre` (3,)."""
+        """Return the (N,) mask of points whose largest 1-sigma is below `share` of the distance from `centre` (3,)."""
         variance = np.empty(len(self.x))
         largest_eigenvalues(self.point_covariance, variance)
         return np.asarray(np.sqrt(variance) < share * np.linalg.norm(self.x - centre, axis=1))

@@ -28,8 +28,8 @@ class Segments:
 
     dt: F64  # (N,) s
     rates: F64  # (N, 6) angular velocity, rad/s, and specific force, m/s^2
-    interval: F64  # (N,) s between the samples on both sides; with one sample only: from it to the far end
-    since: F64  # (N,) s from the sample before the segment to its end; before all samples: from its begin to the first
+    interval: F64  # (N,) s between the samples before and after; if one is missing: from the other to the far end
+    since: F64  # (N,) s from the sample before to the segment's end; if missing: from its begin to the first sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Preintegral:
 
 
 def right_jacobian(phi: F64) -> F64:
-    """Return the right Jacobian (3, 3) of SO(3) to second order, enough for the small angles between samples."""
+    """Return the right Jacobian (3, 3) of SO(3) at the rotation vector `phi` (3,), rad, to second order."""
     W = skew(phi)
     return np.asarray(np.eye(3) - W / 2.0 + W @ W / 6.0)
 
@@ -78,7 +78,10 @@ def segments(imu: ImuBuffer, start_ns: int, end_ns: int) -> Segments:
 
 
 def _held(away_ns: int, length_ns: int) -> float:
-    """Return the share of a gap of `length_ns`, `away_ns` from a sample, in which the rate of that sample is held."""
+    """Return the share of a gap in which the rate of the nearest sample is held.
+
+    `away_ns`: time from that sample to the gap. `length_ns`: duration of the gap.
+    """
     return min(max(_HELD_NS - away_ns, 0) / length_ns, 1.0)
 
 

@@ -11,13 +11,13 @@ _KNEE = 3.0  # medians of the residual: the larger, the slower the weight of a f
 
 
 def cauchy(square: F64, scale: float) -> tuple[F64, float]:
-    """Return the Cauchy weights (N,) of squared residuals (N,), and their total cost."""
+    """Return the Cauchy weights (N,) of squared residuals (N,), and the total cost; `scale`: residual of weight 1/2."""
     q = square / scale**2
     return 1.0 / (1.0 + q), float(scale**2 * np.log1p(q).sum())
 
 
 def huber(square: F64, scale: float) -> tuple[F64, float]:
-    """Return the Huber weights (N,) of squared residuals (N,), and their total cost."""
+    """Return the Huber weights (N,) of squared residuals (N,), and the total cost; `scale`: largest of weight 1."""
     n = np.sqrt(square)
     cost = float(np.where(n <= scale, square, 2 * scale * n - scale**2).sum())
     return scale / np.maximum(n, scale), cost
@@ -30,12 +30,12 @@ def median_of(values: F64) -> float:
 
 
 def median_residual(misfit: F64) -> float:
-    """Return the median of (N,) squared residuals, each divided by its rows; at least 0.001, and 1 if N is 0."""
+    """Return the median of (N,) squared residuals per row or degree of freedom; at least 0.001, and 1 if N is 0."""
     return max(median_of(misfit), 1e-3) if len(misfit) else 1.0  # simulated features may have no residual at all
 
 
 def robust_weights(misfit: F64, median: float) -> F64:
-    """Return the Geman-McClure weights (1987) of squared residuals, relative to their median; 1 up to the median."""
+    """Return the Geman-McClure weights (1987) of squared residuals, (N,); 1 for residuals up to their `median`."""
     relative = misfit / median
     return np.asarray(np.minimum(1.0, ((1.0 + _KNEE) / (relative + _KNEE)) ** 2))
 

@@ -69,7 +69,10 @@ def _degrees(heading: float) -> float:
 
 
 def _item(jump_id: int, item: PlanItem, local: LocalFrame, zero: float) -> dict[str, Any]:
-    """Return one item as QGroundControl's JSON, at altitudes above `zero` (ellipsoid height, m); NaN becomes null."""
+    """Return one item as QGroundControl's JSON; NaN becomes null.
+
+    `jump_id`: its number in the plan, from 1. `zero`: height above the ellipsoid (m) to which altitudes are relative.
+    """
     frame = 2 if item.position_world is None else 3  # MAV_FRAME_MISSION, MAV_FRAME_GLOBAL_RELATIVE_ALT
     simple = {"type": "SimpleItem", "command": item.command, "frame": frame, "doJumpId": jump_id, "autoContinue": True}
     parameters = [number(p, 4) for p in item.parameters]

@@ -117,7 +117,7 @@ class Recorder:
         self.put(topic, event.t_ns, parts)
 
     def entry(self, kind: str, t_ns: int, value: int = 0, about: Spot | None = None) -> None:
-        """Record that a lane has used an exposure: the `kind` and `value` of its work, and the position it judged."""
+        """Record that a lane used the exposure `t_ns`: `kind` and `value` of its work, and the position it judged."""
         tree = {"kind": kind, "t_ns": t_ns, "value": value, "about": about}
         self._put_json(SCHEDULE, t_ns, tree)
 

@@ -82,6 +82,7 @@ def answer_json(sites: Sites) -> dict[str, Any]:
         "sites": [_in_metres(s) for s in sites.sites],
         "candidates": [_in_metres(s) for s in sites.candidates],
         "reason": sites.reason,
+        "ground_judged": sites.ground_judged,
     }
 
 
@@ -114,7 +115,8 @@ def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None
 def collection(features: list[dict[str, Any]], sites: Sites) -> dict[str, Any]:
     """Return a GeoJSON collection of features; if there is no site, it contains the reason."""
     none = {} if sites.sites else {"reason": sites.reason or "no site was found"}
-    return {"type": "FeatureCollection", "features": features, **none}
+    unjudged = {} if sites.ground_judged else {"ground_judged": False}
+    return {"type": "FeatureCollection", "features": features, **unjudged, **none}
 
 
 def _waypoint_properties(w: Waypoint) -> dict[str, Any]:

@@ -73,7 +73,7 @@ def _summary(result: RunResult, plane: RasterPlane | None, missing: Mapping[str,
 
 
 def _contents(result: RunResult, plane: RasterPlane | None, sharpened: bool) -> Contents:
-    """Return every file but run.json, in the order of writing, or the reason why it is not written."""
+    """Return every file but run.json, in the order of writing, or why it is not written; see `write_judgement`."""
     hazards, elevation = result.hazards_as_mapped, result.elevation
     assert hazards is not None
     assert elevation is not None
@@ -89,6 +89,7 @@ def _contents(result: RunResult, plane: RasterPlane | None, sharpened: bool) -> 
         "reasons.tif": tif(rasters.reasons_raster(hazards)),
         "hazards.tif": tif(rasters.measures_raster(hazards, names, units)),
         "heights.tif": tif(_heights(elevation)) if sharpened else "no image made the heights finer",
+        **({} if result.terrain is None else {"terrain.tif": tif(rasters.terrain_raster(result.terrain))}),
         "sites.geojson": NO_PLACE if sites is None else lambda: vectors.json_bytes(sites),
         **report_file(result),
     }
@@ -104,7 +105,8 @@ def write_judgement(
 ) -> list[Path]:
     """Write safe.tif, hazards.tif, reasons.tif, sites.geojson, report.html and run.json; return the paths written.
 
-    `heights.tif` is added if an image made the heights finer (`sharpened`). See `folder.write_folder` for errors.
+    `heights.tif` is added if an image made the heights finer (`sharpened`). `plane`: coordinates of the input raster;
+    None: local ones. See `folder.write_folder` for errors.
     """
     contents = _contents(result, plane, sharpened)
     return write_folder(contents, lambda missing: _summary(result, plane, missing), out, overwrite, inputs)

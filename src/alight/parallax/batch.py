@@ -32,7 +32,7 @@ LEAST_ACROSS = 64  # cells that the shorter side of a halved picture must cover:
 
 
 def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
-    """Return, per cell, the height and cost ratio of the sweep whose height is the (lower) median of all sweeps."""
+    """Return, per cell, the height and cost ratio of that sweep whose height is the (lower) median of all sweeps."""
     heights = np.stack([s.height for s in sweeps])
     order = np.argsort(heights, axis=0)  # NaN last
     middle = np.maximum(np.isfinite(heights).sum(axis=0) - 1, 0) // 2
@@ -52,13 +52,16 @@ class Images:
         self._lock = Lock()
 
     def of(self, views: Sequence[View], heights: F64) -> Images:
-        """Return a store of other `views`, with ground `heights` (N,), metres; both stores share the prepared views."""
+        """Return a store of other `views`; both stores share the prepared views.
+
+        `heights`: (N,) metres, height of the ground in each view.
+        """
         other = copy(self)
         other.views, other.heights = views, heights
         return other
 
     def get(self, index: int, halved: int = 0) -> Prepared:
-        """Return view `index`, prepared for the cell size, with its resolution halved `halved` times."""
+        """Return the view of index `index`, prepared for the cell size, with its resolution halved `halved` times."""
         key = self.views[index].key
         with self._lock:
             if key not in self._ready:
@@ -123,7 +126,7 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
 
 
 def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, tuning: ConsistencyTuning) -> U16:
-    """Return (R, C) MOVING flags from pairs of synchronous views; each pair contains one of the views `chosen`."""
+    """Return (R, C) MOVING flags at the heights of `fit` from pairs of synchronous views, at least one in `chosen`."""
     pairs = witness.instants(images.views)
     some = pairs[np.isin(pairs, chosen).any(axis=1)]
     some = some[np.unique(np.linspace(0, len(some) - 1, min(tuning.pairs, len(some))).astype(int))]
@@ -136,7 +139,8 @@ def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, tuning: Consi
 def colour(views: list[View], fine: list[Prepared], fit: refine.Fit, visible: U8) -> U8:
     """Return the colours (R, C, 3) of the cells, each from the steepest view that sees it; black if none does.
 
-    `views` and `fine` are the same N views. `visible` (N, R / 2, C / 2) is 0 where the map hides a cell from a view.
+    `views` are N views, `fine` the same views, prepared. `fit`: the heights. `visible`: (N, R / 2, C / 2), 0 where the
+    map hides a cell from a view.
     """
     grid, height = fit.grid, fit.height
     out = np.zeros((*grid.shape, 3), np.uint8)

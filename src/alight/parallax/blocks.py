@@ -36,8 +36,8 @@ SWEPT_AT_START = 2  # factor by which a step may sweep more then
 class Effort:
     """Limits of the work of one step."""
 
-    share: float  # share of a full step's limits on refined cells and on sweeping
-    rigs: int  # n: every n-th exposure, back from the newest, uses all its cameras; the others use one per rig
+    share: float  # share of a full step's limits (refined cells, swept samples) that the step may use
+    rigs: int  # every `rigs`-th exposure, back from the newest, uses all cameras; other exposures use one of them
 
 
 EFFORTS = (Effort(1.0, 1), Effort(0.6, 3), Effort(0.4, 3), Effort(0.25, 3))  # full, ..., least
@@ -109,7 +109,7 @@ class Blocks:
         self._first, self._shape, self._cell = first, grid.shape, grid.cell
 
     def counted(self, kinds: NDArray[np.bool_], every: int) -> Counts:
-        """Return the number of samples per block in three masks `kinds` (3, R / every, C / every)."""
+        """Count the samples of each block in three masks `kinds` (3, R / every, C / every), ordered as in `Counts`."""
         edges = zip(kinds.shape[1:], self._offset, self._count.shape, strict=True)
         rows, cols = (_members(n, every, int(at), blocks) for n, at, blocks in edges)
         return Counts(*(rows @ kinds.astype(np.float32) @ cols.T))
@@ -142,7 +142,10 @@ class Blocks:
         return Plan(*([self._box(b) for b in boxes] for boxes in (fine, rough, refined)))
 
     def _to_sweep(self, counts: Counts, costs: F64, most: float, effort: Effort) -> Mask:
-        """Return a mask of the blocks to sweep: of those due, the longest waiting, within the limits of the step."""
+        """Return a mask of the blocks to sweep: of all blocks that are due, those that have waited longest.
+
+        `costs`: samples per block. `most`: largest number of cells. `effort`: limits of the step.
+        """
         some = counts.fresh >= ENOUGH
         self._since = np.where(some, np.where(self._since == NEVER, self._step, self._since), NEVER)
         many = counts.fresh >= np.maximum(counts.waiting, PART * (counts.fresh + counts.waiting + counts.known))
@@ -156,7 +159,7 @@ class Blocks:
     def _to_refine(self, counts: Counts, away: F64, swept: Mask, watched: Mask, most: float) -> list[Rectangle]:
         """Return rectangles around the `swept` and `watched` blocks, then around those that have waited long enough.
 
-        The more often a block was refined, the more steps it waits. `away` is its distance, in cells, from the point
+        The more often a block was refined, the more steps it waits. `away`: cells from each block to the point
         below the newest view. The rectangles hold up to `most` cells, not counting blocks that are only watched.
         """
         wait, known = np.clip(self._count / self._tuning.pace, 1.0, self._tuning.longest_wait), counts.known >= LEAST
@@ -194,7 +197,7 @@ class Blocks:
 
 
 def _moved(old: I64, by: I64, shape: I64, empty: int) -> I64:
-    """Return the part of the raster `old` that begins at row and column `by` and has `shape`; `empty` outside `old`."""
+    """Return the part of the raster `old` from row and column `by` on, of `shape`; `empty`: value outside `old`."""
     out = np.full(shape, empty, np.int64)
     low = np.maximum(by, 0)
     size = np.maximum(np.minimum(by + shape, old.shape) - low, 0)
@@ -204,13 +207,19 @@ def _moved(old: I64, by: I64, shape: I64, empty: int) -> I64:
 
 
 def _members(count: int, every: int, first: int, blocks: int) -> F32:
-    """Return a (blocks, count) matrix: 1 where block i holds sample k, which lies at cell `first` + k `every`."""
+    """Return a (blocks, count) matrix: 1 where block i holds sample k.
+
+    The samples lie in the middle of intervals of `every` cells, from cell `first` of block 0 on.
+    """
     at = (first + every // 2 + every * np.arange(count)) // SIDE
     return np.asarray(at[None, :] == np.arange(blocks)[:, None], np.float32)
 
 
 def _within(order: I64, wanted: Mask, costs: F64, budget: float) -> Mask:
-    """Return a mask of the `wanted` blocks that come first in `order` and cost up to `budget` in all; at least one."""
+    """Return the mask of the first `wanted` blocks in `order` that cost up to `budget` in all; at least one block.
+
+    `order`: flat indices of the blocks.
+    """
     ranked = order[wanted.ravel()[order]]
     spent = np.cumsum(costs.ravel()[ranked])
     out = np.zeros(wanted.size, np.bool_)
@@ -219,10 +228,10 @@ def _within(order: I64, wanted: Mask, costs: F64, budget: float) -> Mask:
 
 
 def cover(urgency: F64, away: F64, most: float) -> list[Rectangle]:
-    """Return rectangles that cover the blocks with an urgency of 1 or more, the most urgent first.
+    """Return rectangles that cover the blocks with an `urgency` of 1 or more, the most urgent first.
 
-    Blocks above `MOST_URGENT` are covered even beyond `most`, the largest number of cells in all rectangles. `away` is
-    the distance of each block from the point below the newest view.
+    Blocks with an urgency above `MOST_URGENT` are covered even beyond `most`, the largest number of cells in all
+    rectangles. `away`: distance of each block from the point below the newest view.
     """
     urgency, out = urgency.copy(), list[Rectangle]()
     while (top := urgency.max(initial=0.0)) > MOST_URGENT or (top >= 1.0 and most >= DEAR + SIDE**2):
@@ -236,7 +245,7 @@ def cover(urgency: F64, away: F64, most: float) -> list[Rectangle]:
 def grown(urgency: F64, away: F64, most: float) -> Rectangle:
     """Return a rectangle of up to `most` blocks, grown from the most urgent block while its rim is urgent as well.
 
-    Of several most urgent blocks, it starts from the nearest; `away` is the distance of each block.
+    Of several most urgent blocks, it starts from the nearest. `away`: distance of each block, as in `cover`.
     """
     total = np.zeros((urgency.shape[0] + 1, urgency.shape[1] + 1))
     total[1:, 1:] = urgency.cumsum(axis=0).cumsum(axis=1)
@@ -259,7 +268,7 @@ def grown(urgency: F64, away: F64, most: float) -> Rectangle:
 
 
 def _mean(sums: list[list[float]], of: Rectangle) -> float:
-    """Return the mean over the rectangle `of` from the summed-area table `sums`; -1 outside the raster."""
+    """Return the mean of a raster over the rectangle `of`, from its summed-area table; -1 outside the raster."""
     top, left, bottom, right = of
     if min(top, left) < 0 or bottom >= len(sums) or right >= len(sums[0]):
         return -1.0

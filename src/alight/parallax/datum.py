@@ -37,7 +37,7 @@ class Matched(NamedTuple):
         return cls(grid, tuple(v.without_image for v in views))
 
     def holds(self, east: F64, north: F64) -> Mask:
-        """Return a mask of the positions, metres east and north, that lie in the tile."""
+        """Return a mask of the positions `east`, `north` (m) that lie in the tile."""
         row, col = self.grid.index(east, north)
         inside = (row >= -0.5) & (row < self.grid.rows - 0.5) & (col >= -0.5) & (col < self.grid.cols - 0.5)
         return np.asarray(inside)
@@ -140,7 +140,7 @@ def sensitivity(points: F64, views: Sequence[View], joint: KeyframePosterior) ->
 
 
 def _carried(points: F64, body: F64) -> F64:
-    """Return the (S, 3, 6) displacement of ground points per unit of (true - estimated) pose of the body at `body`."""
+    """Return the (S, 3, 6) displacement of points (S, 3) per unit of pose error (true - estimated) at `body` (3,)."""
     out = np.zeros((len(points), 3, 6))
     out[:, :, :3] = -np.eye(3)
     out[:, :, 3:] = np.array([skew(p - body) for p in points])
@@ -148,7 +148,7 @@ def _carried(points: F64, body: F64) -> F64:
 
 
 def _bent(view: View, lens: Camera, points: F64, seen: Mask) -> F64:
-    """Return the (S, 3) displacement of ground points, metres, if the view's true lens is `lens`; 0 if not `seen`."""
+    """Return the displacement of points (S, 3), metres, if the view's true lens is `lens`; 0 if not `seen` (S,)."""
     out = np.zeros(points.shape)
     in_cam = view.world_from_cam.inverse.apply(points[seen])
     true = lens.rays(view.camera.project(in_cam))

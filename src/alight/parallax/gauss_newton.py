@@ -40,7 +40,7 @@ class Fit:
 
 
 def median_height(height: F32, none: float = 0.0) -> float:
-    """Return the median of a sample of the known heights, metres; `none` if all heights are NaN."""
+    """Return the median of a subset of the known heights (R, C), metres; `none` if all heights are NaN."""
     for every in (8, 1):
         some = height[::every, ::every]
         some = some[np.isfinite(some)]
@@ -123,7 +123,7 @@ class Skyline:
 
 
 def _tops(solid: F32, grid: Grid, centres: F64) -> F32:
-    """Return, per block of cells, the highest height (metres) that a ray from the block to a camera can meet."""
+    """Return, per block of cells of `solid`, the highest height (m) that a ray to a camera at `centres` can meet."""
     tops = np.empty(tuple(-(-n // BLOCK) for n in grid.shape), np.float32)
     visibility_kernels.block_tops(solid, BLOCK, LOWEST, tops)
     high = float(tops.max())

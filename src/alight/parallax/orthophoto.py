@@ -36,7 +36,10 @@ COARSER = 1.5  # a view is not used if its pixel is larger than the finest view'
 
 
 def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> Box:
-    """Return rows and columns of `grid` in a picture with border `rays`, for ground from `low` to `high`, metres."""
+    """Return rows and columns of `grid` that a picture may show, for ground at heights from `low` to `high`, metres.
+
+    `rays`: (N, 3) directions along the picture's border, world. `centre`: (3,) of the camera.
+    """
     everything = slice(0, grid.rows), slice(0, grid.cols)
     if centre[2] <= high or (rays[:, 2] > -FLAT * np.linalg.norm(rays, axis=1)).any():
         return everything
@@ -54,10 +57,11 @@ def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> Box:
 def _block(
     views: Sequence[View], rays: Sequence[F64], grid: Grid, height: F32, wants: Mask, count: int
 ) -> tuple[F32, F32, F32]:
-    """Return the mean colour of the `count` finest views per wanted pixel, their number, and the finest pixel, metres.
+    """Return, per wanted pixel, the mean colour of the `count` finest views, their number, and the finest pixel, m.
 
-    `rays` are directions along the border of each view's picture. `wants` becomes False, in place, where no further
-    view is wanted. Exposures of the views are matched; a view with much coarser pixels than the finest one is not used.
+    `rays`: directions along the border of each view's picture, world. `height`, `wants`: (R, C) on `grid`, the pixels;
+    `wants` becomes False, in place, where no further view is needed. Exposures of the views are matched; a view with
+    much coarser pixels than the finest one is not used.
     """
     xs, ys = grid.xy()
     level, low, high = float(np.median(height)), float(height.min()), float(height.max())

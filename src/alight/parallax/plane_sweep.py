@@ -64,7 +64,7 @@ def parallax_per_metre(centres: F64, height: float) -> float:
 
 
 def plane_count(slide: float, low: float, high: float, cell: float, most: int) -> int:
-    """Return the number of planes from `low` to `high`, 5 to `most`, at steps of 0.7 cells of parallax.
+    """Return the number of planes, 5 to `most`, between the heights `low` and `high` at steps of 0.7 cells of parallax.
 
     `slide` is the parallax, metres per metre of height; `cell` is the cell size, metres.
     """
@@ -100,7 +100,10 @@ class Registered:
 
 
 def register(prepared: list[Prepared], grid: Grid, ground: float, searched: Span, reference: int) -> Registered:
-    """Return the views resampled to the plane at `ground`, over `grid` and a margin for the heights `searched`."""
+    """Return the views resampled to the plane at height `ground`, over `grid` and a margin for the heights `searched`.
+
+    `reference`: index of the view whose picture becomes `Registered.guide`.
+    """
     centres = centres_of(prepared)
     slide = np.abs(centres[:, None, :2] - centres[None, :, :2]).max()
     share = max(abs((centres[:, 2].min() - ground) / (centres[:, 2].min() - z) - 1) for z in searched)
@@ -116,7 +119,7 @@ def register(prepared: list[Prepared], grid: Grid, ground: float, searched: Span
 
 
 def ray_lattice(grid: Grid, ground: float, searched: Span, reference: Prepared) -> Grid:
-    """Return the grid, at height `ground`, of the rays to the reference that cross `grid` at the heights `searched`."""
+    """Return the rays to view `reference` that cross `grid` at heights `searched`, as a grid at the height `ground`."""
     about = reference.centre
     x, y = (v[[0, -1]] for v in grid.xy())
     share = np.array([(about[2] - ground) / (about[2] - z) for z in searched])
@@ -176,7 +179,7 @@ def sweep_unseen(
 
 
 def narrowed(found: F32, searched: Span, margin: float, least: int = 1) -> Span:
-    """Return `searched` narrowed to the range of `found` plus a `margin`, metres, if at least `least` are known."""
+    """Return the span `searched`, narrowed to the heights `found` plus a `margin`, metres, if `least` are known."""
     known = found[np.isfinite(found)]
     if len(known) < least:
         return searched
@@ -186,7 +189,7 @@ def narrowed(found: F32, searched: Span, margin: float, least: int = 1) -> Span:
 
 
 def regions(wanted: Mask, least_share: float) -> list[Box]:
-    """Return rectangles (rows, columns) around connected blocks in which more than `least_share` is `wanted`."""
+    """Return rectangles (rows, columns) around connected blocks in which a share above `least_share` is `wanted`."""
     shape = tuple(-(-n // SEEN_BLOCK) for n in wanted.shape)
     whole = np.zeros((shape[0] * SEEN_BLOCK, shape[1] * SEEN_BLOCK), np.float32)
     whole[: wanted.shape[0], : wanted.shape[1]] = wanted
@@ -307,7 +310,7 @@ def sweep(
 
 
 def extremes(found: F32, reach: int) -> tuple[F32, F32]:
-    """Return the lowest and highest known height within `reach` cells of each cell; inf and -inf if none is known."""
+    """Return the lowest and highest known height within `reach` cells of each cell of `found`; inf, -inf if none is."""
     near, known = np.ones((2 * reach + 1,) * 2, np.uint8), np.isfinite(found)
     border = cv2.BORDER_REPLICATE  # OpenCV's own is the largest number, not infinity
     low = cv2.erode(np.where(known, found, np.float32(np.inf)), near, borderType=border)
@@ -318,7 +321,7 @@ def extremes(found: F32, reach: int) -> tuple[F32, F32]:
 def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: F64, tuning: SweepTuning) -> Swept:
     """Return the height (metres) and cost ratio of each of the `rays`, chosen among the planes in its span.
 
-    The rays meet in the camera centre `about` (3,); `levels` (D,) are the heights of the planes, metres.
+    The rays meet in the camera centre `about` (3,). `levels`: (D,) heights of the planes, metres.
     """
     first, near, everywhere = spans.first, spans.neighbours, Spans.whole(rays.shape, len(levels))
     cost = np.empty((spans.high - spans.low + 1).sum(dtype=np.int64), np.float32)  # of all rays

@@ -119,7 +119,7 @@ class RecursiveParallax:
     def _window(
         self, grid: Grid, known: ElevationMap, ratio: F32, searched: tuple[float, float], effort: Effort
     ) -> Window:
-        """Return the window of a step with its views; at reduced effort, many exposures use one camera per rig only."""
+        """Return the window of a step with its views; `ratio`, `searched`: see `Window`; `effort` limits the views."""
         times, views = list(self.kept), [k for exposure in self.kept.values() for k in exposure]
         drop, rigs = float(self.kept[times[-1]][0].view.centre[2]) - self._ground, times[:: -effort.rigs]
         first = first_of_twins(views, APART * drop)
@@ -130,7 +130,7 @@ class RecursiveParallax:
         return Window(self._settings, self._buffers, grid, known, kept, seen, ratio, searched, drop, *twins)
 
     def _views_of(self, window: Window, box: Box, fresh: Mask) -> list[Kept]:
-        """Return the views for sweeping `fresh` cells of a rectangle: a few exposures over twice the least baseline."""
+        """Return views to sweep the `fresh` cells of a rectangle: of a few exposures over twice the least baseline."""
         # more exposures would blur the edges of objects, a longer baseline takes more planes
         seen = [window.kept[i] for i in np.unique(window.apart[window.views_of(box)])]
         wanted = max(1.0, float(np.median(self._wanted(window.ratio[box])[fresh])))
@@ -143,11 +143,17 @@ class RecursiveParallax:
 
     @staticmethod
     def _wanted(ratio: F32) -> F32:
-        """Return the least baseline for sweeping each cell, in units of `first_baseline`; a failed sweep doubles it."""
+        """Return the least baseline for sweeping each cell, in units of `first_baseline`; a failed sweep doubles it.
+
+        `ratio`: see `Window.ratio`; 1 or more: the last sweep failed at a baseline of that many units.
+        """
         return np.where(ratio >= 1, 2 * ratio, np.float32(1))
 
     def _has_baseline(self, baseline: F32, count: U8, ratio: F32, drop: float) -> Mask:
-        """Return a mask of the cells with enough views and baseline to be swept, given their last cost ratio."""
+        """Return a mask of the cells with enough views and baseline to be swept, given their last cost `ratio`.
+
+        `baseline`: metres. `count`: number of views. `drop`: height of the camera above the ground, metres.
+        """
         wide = baseline / np.float32(self._tuning.first_baseline * drop)
         return np.where(count >= self._tuning.first_views, wide, np.float32(0)) >= self._wanted(ratio)
 
@@ -169,7 +175,10 @@ class RecursiveParallax:
         return self._blocks.plan(counts, (row, col), self._tuning.first_exposures * planes, reach, effort)
 
     def _settle(self, found: Heights | None, known: ElevationMap, box: Box) -> None:
-        """Record which heights of a rectangle were replaced, became trusted, or lost trust."""
+        """Record which heights of rectangle `box` were replaced, became trusted, or lost trust.
+
+        `found`: new heights; None: nothing was found. `known`: the map before the step.
+        """
         every = refine.SEEN_BLOCK
         h0, s0, f0 = (getattr(known, k)[box][::every, ::every] for k in ("height", "sigma", "flags"))
         before = np.isfinite(h0)
@@ -212,7 +221,7 @@ class RecursiveParallax:
 
 
 def shift_of(apart: F32) -> np.float32:
-    """Return the median of the differences between a sweep and the map, metres; 0 if all are NaN."""
+    """Return the median of the differences `apart` between a sweep and the map, metres; 0 if all are NaN."""
     known = apart[np.isfinite(apart)]
     return np.float32(np.median(known) if known.size else 0)
 

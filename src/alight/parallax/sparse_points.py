@@ -110,7 +110,10 @@ def find_points(views: Sequence[View], tuning: PointsTuning) -> F64:
 
 
 def supported(points: F64, height_of_camera: float, tuning: PointsTuning) -> F64:
-    """Return the points (M, 3) whose heights agree with those of enough neighbours; the others may be wrong matches."""
+    """Return the points (M, 3) whose heights agree with enough neighbours; all other points may be wrong matches.
+
+    `height_of_camera`: metres, above the origin like the points.
+    """
     if len(points) <= tuning.neighbours:
         return points
     like = tuning.like_height * max(height_of_camera - float(np.median(points[:, 2])), 1.0)

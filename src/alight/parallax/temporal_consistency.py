@@ -61,7 +61,7 @@ def shared(samples: F32, pairs: I64, mean: F32, seen: U8, least: int, tuning: Co
 
 
 def moving(samples: F32, pairs: I64, fit: Fit, least: int, tuning: ConsistencyTuning) -> U16:
-    """Return (R, C) MOVING flags where synchronous views share a deviation from the template; see `shared`."""
+    """Return (R, C) MOVING flags where synchronous views share a deviation from the template of `fit`; see `shared`."""
     if not len(pairs):
         return np.zeros(fit.grid.shape, np.uint16)
     share = shared(samples, pairs, fit.mean, fit.seen, least, tuning)
@@ -70,9 +70,9 @@ def moving(samples: F32, pairs: I64, fit: Fit, least: int, tuning: ConsistencyTu
 
 
 def changed_since(samples: F32, pairs: I64, times: I64, tuning: ConsistencyTuning) -> Mask:
-    """Return a mask (R, C) of ground that looks different since some moment: somebody stopped there or left (eq. 16d).
+    """Return a mask (R, C) of ground that looks different since some instant: somebody stopped there or left (eq. 16d).
 
-    The views before that moment agree with each other, and so do the views after it. The larger group would pass for
+    The views before that instant agree with each other, and so do the views after it. The larger group would pass for
     the ground, at the height of the map. `times` (N,) are the times of the views, ns; the other arguments are as in
     `shared`. The mask is constant over blocks.
     """
@@ -94,12 +94,12 @@ def changed_since(samples: F32, pairs: I64, times: I64, tuning: ConsistencyTunin
 class Contradicted(NamedTuple):
     """Masks (R, C) of ground on which the views disagree (eq. 16e), constant over blocks."""
 
-    wrong: Mask  # whether the height of the map is wrong
-    came: Mask  # whether the views agreed before, so that somebody has come since
+    wrong: Mask  # cells where the height of the map is wrong
+    came: Mask  # cells where the views agreed before, so that somebody has come since
 
 
 def contradicted(samples: F32, known: ElevationMap, least: int, tuning: ConsistencyTuning) -> Contradicted:
-    """Return masks of ground on which the views disagree, because somebody stands higher than the map (eq. 16e).
+    """Return masks of ground on which the views disagree, because somebody stands on it (eq. 16e).
 
     Still ground at the height of the map looks alike to all views. Swaying plants look different at all times, so a
     small disagreement counts only where the views agreed when the map got its height. `known` is the map before the

@@ -71,7 +71,11 @@ def _filled(height: F32) -> F32:
 
 
 def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32, by: SigmaCoefficients) -> F32:
-    """Return the variance of the relief that windows smooth away, metres^2, by a model with the coefficients `by`."""
+    """Return the variance of the relief that windows smooth away, metres^2, by a model with the coefficients `by`.
+
+    `mid`: mean height of 2 x 2 cells, metres. `uneven`: variance within them, metres^2. `noise`: residual variance.
+    `per_px`: parallax pixel, metres.
+    """
     fine, trend = (mid - cv2.GaussianBlur(mid, (0, 0), s) for s in (0.75, 1.5))
     rough, wide = uneven + _box(fine * fine, 3), cv2.GaussianBlur(trend * trend, (0, 0), 1.5)
     square = per_px * per_px
@@ -95,9 +99,10 @@ def half_resolution(values: F32) -> F32:
 def match_evidence(seen: Pooled, ratio: F32, slide: F32, near: int) -> dict[str, F32]:
     """Return the evidence for a wrong match at half resolution: the dimensionless inputs of eq. 15, by name.
 
-    `ambiguity` is the mean cost `ratio`, `residual` the mean share of the variance that the views do not have in
-    common, `sigma` the rms 1-sigma in parallax pixels, over `near` x `near` cells. `drop` and `rise` are the height
-    differences to the lowest and the highest neighbour in parallax pixels; `slide` is the baseline over the height.
+    Over `near` x `near` cells: `ambiguity` is the mean cost `ratio`, `residual` the mean share of the variance that the
+    views do not have in common, `sigma` the rms 1-sigma in parallax pixels. `drop` and `rise` are the height
+    differences to the lowest and highest neighbour, in parallax pixels. `slide` is the baseline over the height above
+    ground.
     """
     return {
         "ambiguity": np.clip(_box(np.where(np.isfinite(ratio), ratio, np.float32(1)), near), 1e-2, 1e3),
@@ -120,7 +125,10 @@ def outlier_probability(terms: dict[str, F32]) -> F32:
 
 
 def brightness(prepared: list[Prepared], grid: Grid, height: F32) -> F32:
-    """Return the mean grey level of the views at `height` (R / 2, C / 2), metres; NaN where no view sees the cell."""
+    """Return the mean grey level of the views, (R / 2, C / 2), at heights of that shape, metres; NaN: not seen.
+
+    `grid`: the grid at full resolution.
+    """
     total, count = np.zeros(height.shape, np.float32), np.zeros(height.shape, np.float32)
     for p in prepared:
         grey = sample(p.grey, *maps(p, *grid.coarser(2).xy(), height))
@@ -139,7 +147,7 @@ def judged(
 
     Args:
         ratio: (R / 2, C / 2) best over second-best cost of the sweep.
-        lit: views whose grey levels are tested for saturation.
+        lit: prepared views whose grey levels are tested for saturation.
         searched: lowest and highest height of the search, metres.
         sampling, rgb: (R, C) metres of ground per sample, and (R, C, 3) colours, returned with the heights.
     """

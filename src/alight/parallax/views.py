@@ -34,8 +34,8 @@ class Prepared:
     H: F64  # (3, 3) ground homography, ideal coordinates (eq. 2)
     b: F64  # (3,) image of the vertical (eq. 2)
     centre: F64  # (3,) camera centre, metres
-    r2_max: float  # largest ideal radius^2 inside the image: beyond it the lens polynomial folds back
-    ratio: float  # pixels across a cell
+    r2_max: float  # largest squared ideal radius in the image: beyond it the lens polynomial folds back
+    ratio: float  # width of a cell in pixels
     rolling: F64  # motion during the exposure, see `rolling_of`
 
     def posed(self, world_from_cam: Pose) -> Prepared:
@@ -45,7 +45,7 @@ class Prepared:
 
 
 def tone_of(view: View) -> U8:
-    """Return the (256, 3) table from levels of a view to colours, corrected by its gain to make all views alike."""
+    """Return the (256, 3) table from grey levels of a view to colours that its gain makes comparable between views."""
     levels = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
     return levels if view.gain is None else np.rint(levels * view.gain).clip(0, 255).astype(np.uint8)
 
@@ -73,7 +73,7 @@ def ground_sampling(view: View, height: float) -> float:
 
 
 def halved(grey: F32, camera: Camera) -> tuple[F32, Camera]:
-    """Return an image at half the resolution and its camera; an odd last row or column is dropped."""
+    """Return an image at half the resolution, and the camera of that image; an odd last row or column is dropped."""
     # otherwise the resized image would lie up to half a pixel beside its camera
     rows, cols = (n // 2 for n in grey.shape)
     half = cv2.resize(grey[: 2 * rows, : 2 * cols], (cols, rows), interpolation=cv2.INTER_AREA)
@@ -83,7 +83,7 @@ def halved(grey: F32, camera: Camera) -> tuple[F32, Camera]:
 def prepare_view(view: View, cell: float, height: float) -> Prepared:
     """Smooth a view to the cell size and normalise it by local mean and standard deviation, so that gain cancels.
 
-    `height` is the ground height, metres; even if it is wrong, the shorter side keeps `LEAST_SIDE` pixels.
+    `height`: of the ground, metres, sets the scale; even if it is wrong, the shorter side keeps `LEAST_SIDE` pixels.
     """
     grey, camera = grey_levels(view.image).astype(np.float32), view.camera
     ratio = min(cell / ground_sampling(view, height), max(min(grey.shape) / LEAST_SIDE, 1.0))
@@ -129,7 +129,7 @@ class Kept:
         return self.levels[0]
 
     def halved(self, times: int) -> Prepared:
-        """Return the view prepared for cells that are larger by 2 ** `times`, with the picture halved `times` times."""
+        """Return the view prepared for cells 2**`times` times as large, with its picture halved `times` times."""
         while len(self.levels) <= times:
             fine = self.levels[-1]
             grey, camera = halved(fine.grey, fine.camera)
@@ -196,7 +196,7 @@ def sample(
 
 
 def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None = None) -> F32:
-    """Return the normalised samples (N, R, C) of the views on the grid at heights `h`, metres; NaN outside an image."""
+    """Return normalised samples (N, R, C) of the views on a grid at heights `h` (R, C), metres; NaN: outside."""
     held = buffers or Buffers()
     out = held.get("samples", (len(prepared), *grid.shape))
     for i, p in enumerate(prepared):
@@ -235,7 +235,7 @@ def may_see(views: Sequence[View], grid: Grid, low: float, high: float) -> list[
 def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, max_tangent: float) -> list[int]:
     """Return the indices of up to `count` views that see each part of a grid often, over wide and even baselines.
 
-    Views flatter than `max_tangent` (horizontal over vertical distance) weigh less; `height`: of the ground, metres.
+    Views flatter than `max_tangent` (horizontal over vertical distance) weigh less. `height`: of the ground, metres.
     """
     if not views:
         return []

@@ -32,7 +32,7 @@ class Refined(NamedTuple):
     """Result of a step for one rectangle."""
 
     heights: Heights
-    changed: Mask  # (R, C) ground that looks different since some moment; its height is from before
+    changed: Mask  # (R, C) ground that looks different since some instant; its height is from before that
     came: Mask  # (R, C) ground on which somebody has come to stand (eq. 16e)
 
 
@@ -49,11 +49,11 @@ class Window:
     ratio: F32  # (R, C) best over second-best cost of the last sweep; NaN: to be swept again
     searched: tuple[float, float]  # metres, lowest and highest height
     drop: float  # metres, height of the newest camera above the ground
-    nearly: NDArray[np.intp]  # (N,) for each view, index of the first view of its exposure within `BESIDE`
-    apart: NDArray[np.intp]  # (N,) for each view, index of the first view of its exposure within `APART`
+    nearly: NDArray[np.intp]  # (N,) index of the first view with the same occlusions: `first_of_twins` by `BESIDE`
+    apart: NDArray[np.intp]  # (N,) index of the first view that sees nearly the same: `first_of_twins` by `APART`
 
     def views_of(self, where: Box) -> NDArray[np.intp]:
-        """Return the indices of the views that see any part of a rectangle."""
+        """Return the indices of the views that see any part of a rectangle (rows, columns) of the window."""
         r, c = (slice(s.start // refine.SEEN_BLOCK, -(-s.stop // refine.SEEN_BLOCK)) for s in where)
         return np.flatnonzero(self.seen.views[:, r, c].any(axis=(1, 2)))
 
@@ -102,7 +102,10 @@ class Window:
         return Refined(found.part(inner), anew[inner], doubt.came[inner])
 
     def _coloured(self, grid: Grid, height: F32, known: ElevationMap, recolour: bool) -> U8:
-        """Return the map's colours, renewed by the newest view: below it, and where colours are missing or coarse."""
+        """Return the colours of the map `known`; the newest view replaces them below its camera and on new cells.
+
+        `height`: (R, C) new heights on `grid`, metres. `recolour`: whether the view replaces all colours that it can.
+        """
         view, fine = self.kept[-1].view, self.kept[-1].fine
         out = known.rgb.copy()
         row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
@@ -123,7 +126,7 @@ class Window:
 
 
 def wider(where: Box, shape: tuple[int, int]) -> Box:
-    """Return a rectangle widened by `HALO` cells, inside a window of `shape`; it starts at an even row and column."""
+    """Return the rectangle `where`, widened by `HALO` cells within a window of `shape`, from an even row and column."""
     r, c = (slice(max(0, s.start - HALO) & ~1, min(n, s.stop + HALO)) for s, n in zip(where, shape, strict=True))
     return r, c
 
@@ -155,7 +158,7 @@ def _are_twins(a: Kept, b: Kept, within: float) -> bool:
 
 
 def bridged(start: F32, wanted: Mask) -> F32:
-    """Fill narrow gaps in the initial heights `start` from the heights beside them, where `wanted`."""
+    """Return the initial heights `start` (R, C) with narrow gaps filled from the heights around, where `wanted`."""
     # sweeps at the rim of the pictures often fail: seams, one cell wide, would stay there that no touchdown may cross
     known = np.isfinite(start)
     gaps = wanted & ~known

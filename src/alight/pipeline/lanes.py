@@ -77,7 +77,7 @@ def conclude(
     navigation: NavigationLane, mapping: MappingLane, judging: JudgingLane, settings: StageSettings, timings: Timings,
     progress: StageProgress = unreported,
 ) -> Decision:  # fmt: skip
-    """Refine the motion, build and judge the map, and return the decision, with all results in the world."""
+    """Finish all lanes: refine the motion, build and judge the map; return the decision, in the world frame."""
     with timings.of("motion, all frames together"):
         trajectory = navigation.finish(partial(progress, "motion"))
     warnings = list(trajectory.warnings)

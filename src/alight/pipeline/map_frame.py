@@ -21,7 +21,7 @@ from alight.records import Datum, ElevationMap, Motion, PlaceSigma, Sites
 class Tie(NamedTuple):
     """Shift between two map frames, derived from the world positions of both."""
 
-    shift: F64  # (3,) metres, to add
+    shift: F64  # (3,) metres, to be added to positions of the first frame
     sigma: float  # metres, horizontal 1-sigma of the shift in its most uncertain direction
 
 
@@ -31,16 +31,16 @@ class MapFrame:
 
     frame_id: int  # map number, `Motion.frame_id` of its poses
     offset_world: F64  # (3,) metres, added to map positions
-    covariance: F64  # (3, 3) m^2, of the map's world position after the offset is applied
+    covariance: F64  # (3, 3) m^2, of a map position that was converted to the world
 
     @classmethod
     def of(cls, motion: Motion) -> MapFrame:
-        """Build the map frame of a motion, with the position covariance that remains after its offset is applied."""
+        """Build the map frame of a motion, with the covariance of the motion's position in the world."""
         offset = np.zeros(3) if motion.offset_world is None else motion.offset_world
         return cls(motion.frame_id, offset, motion.covariance[:3, :3] - np.outer(offset, offset))
 
     def tie(self, other: MapFrame) -> Tie:
-        """Return the tie from this frame to another; the covariances of both world positions add up."""
+        """Return the tie from this frame to `other`; its covariance is the sum of both frames' covariances."""
         sigma = PlaceSigma.of(self.covariance + other.covariance).horizontal
         return Tie(self.offset_world - other.offset_world, sigma)
 

@@ -60,7 +60,7 @@ class Remembered:
         return out
 
     def _spread(self, beside: I64) -> Remembered:
-        """Return a copy with each cell replaced by those at offsets `beside` (K, 2) from it; newest times are kept."""
+        """Return a copy with each cell replaced by the cells at offsets `beside` (K, 2); newest times are kept."""
         cells = (self.cells[:, None] + beside).reshape(-1, 2)
         t_ns = np.repeat(self.t_ns, len(beside))
         latest = np.argsort(-t_ns, kind="stable")
@@ -136,12 +136,12 @@ def traffic(passed: Remembered, grid: Grid, land_cover: TerrainMap | None) -> Ma
 
 
 def _across(grid: Grid) -> int:
-    """Return the points per axis at which a cell is looked up, enough to hit all remembered cells under it."""
+    """Return how many points per axis of a cell of `grid` are looked up, to hit all cells of size `CELL` in it."""
     return 1 if grid.cell <= CELL else math.ceil(grid.cell / CELL) + 1
 
 
 def _numbers(grid: Grid) -> tuple[I64, I64]:
-    """Return the remembered cells under k points per cell: east (k * C,) and north (k * R,), in units of `CELL`."""
+    """Return cells at k points per axis of each cell of a grid: east (k C,) and north (k R,), in units of `CELL`."""
     k = _across(grid)
     inner = 0.5 * grid.cell - 1e-6 if k > 1 else 0.0  # a cell does not reach into its neighbour
     beside = np.linspace(-inner, inner, k)

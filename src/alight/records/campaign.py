@@ -29,10 +29,10 @@ class _Line(BaseModel):
 class FaultRecord(_Line):
     """Planned fault or event."""
 
-    what: str
+    what: str  # name of the fault or event, such as "GPS lost"
     after: float  # s since the start of the flight, or since `state` was first entered
-    state: str | None = None
-    numbers: dict[str, float] = {}
+    state: str | None = None  # state of the executive from which `after` counts; None: from the start
+    numbers: dict[str, float] = {}  # drawn parameters of the fault by name, such as its duration in "seconds"
     takes_control: bool = False  # whether someone else then flies, so that handing over is right
     happened: float | None = None  # s of the flight; None: the landing ended earlier
 
@@ -53,11 +53,11 @@ class Conditions(_Line):
     landing: int = Field(ge=0)  # number of the landing in the campaign
     seed: int  # seed of the campaign
     scene: str  # name, file, or package.module:factory
-    world_seed: int
+    world_seed: int  # seed of the simulated world
     flight_seed: int  # seed of noise, gusts and drift
-    heading: float  # rad, clockwise from north
+    heading: float  # rad, clockwise from north, of the vehicle at the start
     wind: tuple[float, float]  # m/s east, north: velocity of the air
-    gusts: float  # m/s^2, standard deviation
+    gusts: float  # m/s^2, standard deviation of the acceleration by gusts
     gps_sigma: tuple[float, float, float]  # metres, 1-sigma of the drift: east, north, up
     gps_tau: float  # s, correlation time of the drift
     light: LightRecord | None = None  # None: the light of the world
@@ -73,26 +73,26 @@ class Conditions(_Line):
 class TransitionLine(_Line):
     """One change of the executive's state."""
 
-    t: float
-    before: str
+    t: float  # s of the flight
+    before: str  # state before the event
     event: str
-    after: str
-    reason: str
-    p_safe: float | None = None
+    after: str  # state after the event
+    reason: str  # in words
+    p_safe: float | None = None  # newest P(safe) of the site or candidate concerned; None: none is concerned
 
 
 class TouchdownLine(_Line):
     """Contact of the vehicle with the true ground, judged by the oracle."""
 
-    t: float
-    east: float
+    t: float  # s of the flight
+    east: float  # metres
     north: float
     safe: bool
-    reasons: tuple[str, ...]
+    reasons: tuple[str, ...]  # names of the broken limits
     tilt: float  # rad
-    roughness: float
-    sink: float  # m/s
-    drift: float  # m/s
+    roughness: float  # metres, largest deviation of the ground from the footprint's plane
+    sink: float  # m/s, speed downwards at the contact
+    drift: float  # m/s, horizontal speed at the contact
 
     @property
     def bad_ground(self) -> bool:
@@ -103,8 +103,8 @@ class TouchdownLine(_Line):
 class StrikeLine(_Line):
     """Obstacle beside the vehicle that was struck in flight, found by the oracle."""
 
-    t: float
-    east: float  # position of the vehicle
+    t: float  # s of the flight
+    east: float  # metres, position of the vehicle
     north: float
     above: float  # metres, contact above the vehicle's feet
 
@@ -114,10 +114,10 @@ class LandingRecord(_Line):
 
     conditions: Conditions
     outcome: Outcome
-    why: str
+    why: str  # reason for the outcome, in words
     state: str | None = None  # state of the executive at the end
     p_found: float | None = None  # P(safe) of the last site when it was found
-    p_at_commit: float | None = None
+    p_at_commit: float | None = None  # P(safe) of the site when the landing was begun
     looks: tuple[LookRecord, ...] = ()
     transitions: tuple[TransitionLine, ...] = ()
     touchdown: TouchdownLine | None = None  # the worst contact from above
@@ -127,9 +127,9 @@ class LandingRecord(_Line):
     found_after: float | None = None  # s until the first site was found
     distance: float = 0.0  # metres flown
     nearest: float | None = None  # metres, least height of the feet above everything in the footprint before the commit
-    verdicts: int = 0
+    verdicts: int = 0  # number of verdicts on the map
     picture: str | None = Field(None, pattern=r"^[\w-]+\.webp$")  # file next to landings.jsonl
-    error: str | None = None
+    error: str | None = None  # exception that ended the landing, in one line; None: no exception
     cpu_s: float = 0.0  # CPU time; differs between runs
     cpu_of: dict[
         str, float
@@ -164,7 +164,7 @@ class LandingRecord(_Line):
         return self.error is not None and self.error.startswith(LOST)
 
     def repeatable(self) -> dict[str, Any]:
-        """Return every field that a repeated landing reproduces."""
+        """Return the fields whose values a repetition of the landing reproduces: all but the CPU times."""
         return self.model_dump(mode="json", exclude={"cpu_s", "cpu_of"})
 
 
@@ -173,11 +173,11 @@ class CampaignHead(_Line):
 
     model_config = ConfigDict(extra="ignore")  # campaign.json also holds the results
 
-    alight: str
+    alight: str  # version of Alight
     seed: int = Field(ge=0)
     scenes: tuple[str, ...] = Field(min_length=1)
     landings: int = Field(ge=1, le=MOST_LANDINGS)  # number to fly; a larger number continues the same campaign
-    settings: dict[str, Any]
+    settings: dict[str, Any]  # all settings of the landings
     link_faults: float = Field(0.0, ge=0, le=1)  # share of the landings with a fault of the link or the autopilot
     firmware: FirmwareName = "ardupilot"  # of the simulated autopilot
     sources: str = ""  # digest of the program; empty: unknown

@@ -119,7 +119,7 @@ class Transition:
     event: FlightEvent
     after: FlightState
     reason: str
-    place: tuple[float, float, float] | None = None  # site or candidate concerned
+    place: tuple[float, float, float] | None = None  # metres, east, north, up of the site or candidate concerned
     p_safe: float | None = None  # newest P(safe) of that site or candidate
 
     @property
@@ -138,11 +138,11 @@ class LookRecord:
     """One look at a site or candidate: height, verdict and P(safe)."""
 
     t: float  # s
-    place: tuple[float, float, float]
+    place: tuple[float, float, float]  # metres, east, north, up of the site or candidate
     height: float  # metres above the site or candidate
     verdict: str  # site, candidate, refused or not seen
-    p_safe: float
-    doubt: str = ""
+    p_safe: float  # P(safe) of the site or candidate after the look
+    doubt: str = ""  # reason why it is not a site; empty: it is a site
 
     @property
     def line(self) -> str:

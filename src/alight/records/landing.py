@@ -64,10 +64,10 @@ class HazardMap(OnGrid):
     roughness: F32  # (R, C) metres, largest deviation from the footprint's plane
     step: F32  # (R, C) metres, largest rise between neighbouring cells in the footprint
     clearance: F32  # (R, C) metres to the nearest cell where a touchdown is refused
-    p_safe: F32  # (R, C) probability of a touchdown within every limit: product of the factors; 0 if refused
+    p_safe: F32  # (R, C) probability of a touchdown within every limit: product of the known factors; 0 if refused
     p_relief: F32  # (R, C) probability that slope and relief keep their limits, by the heights
     p_obstacle: F32  # (R, C) probability of no obstacle that is too small for heights and pictures
-    p_ground: F32  # (R, C) probability of firm, dry ground
+    p_ground: F32  # (R, C) probability of firm, dry ground; NaN: not judged
     resolved: F32  # (R, C) metres, height of the smallest obstacle found with a probability of 95 %
     settles_at: F32  # (R, C) metres, ground width of a pixel that would settle the doubt; NaN: no width would
     quality: F32  # (R, C) Q of the paper, eq. 5: 0 is best, more negative is worse
@@ -100,10 +100,10 @@ class Site:
     east: float
     north: float
     up: float
-    p_safe: float  # the product of the factors
+    p_safe: float  # the product of the known factors
     p_relief: float
     p_obstacle: float
-    p_ground: float
+    p_ground: float  # NaN: the kind of ground was not judged
     resolved: float  # metres, height of the smallest obstacle found here with a probability of 95 %
     quality: float
     slope: float  # rad
@@ -139,6 +139,7 @@ class Sites:
     reason: str = ""  # the reason why `sites` is empty
     frame_id: int = 0  # map number of the map that was searched
     candidates: tuple[Site, ...] = ()  # refused by no limit, but P(safe) is too low
+    ground_judged: bool = True  # False: P(safe) is that of the shape alone
 
     @property
     def listed(self) -> tuple[Site, ...]:

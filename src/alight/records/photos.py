@@ -13,12 +13,12 @@ class PhotoFacts:
     name: str
     size: tuple[int, int]  # width and height, pixels
     camera: str  # maker and model
-    focal_px: float | None = None
+    focal_px: float | None = None  # None: no focal length is known
     focal_from: str = ""  # tags that give the focal length
     place: tuple[float, float] | None = None  # latitude, longitude, degrees
     position_from: str = ""  # type of GPS fix
     altitude: float | None = None  # metres, in the maker's reference (`altitude_kind`)
-    altitude_kind: str = ""
+    altitude_kind: str = ""  # vertical datum of the altitude, in words
     above_takeoff: float | None = None  # metres
     attitude_from: str = ""  # tags that hold the camera's attitude
     taken: str = ""  # time of capture
@@ -32,8 +32,8 @@ class PhotoOutcome:
     """Agreement of the pictures with the tags of one photo, and whether the photo was registered."""
 
     t_ns: int
-    attitude: str = ""  # use of the attitude: "believed", turned back, overruled or ignored; empty: no attitude
-    position: str = ""
+    attitude: str = ""  # use of the attitude in the tags, in words, such as "believed"; empty: the tags give none
+    position: str = ""  # use of the position in the tags, in words, such as "believed"; empty: the tags give none
     left_out: str = ""  # reason why the photo could not be registered; empty: registered
 
 

@@ -121,7 +121,7 @@ class Heights:
     datum: Datum | None = None  # None: unknown, as for poses without covariance
 
     def part(self, where: Box) -> Self:
-        """Copy a rectangle of the cells, without the fields that describe the whole map."""
+        """Return a copy of the cells in the box `where`, without the fields that describe the whole map."""
         rasters = ("height", "sigma", "flags", "views", "rgb", "residual", "sampling")
         fields: dict[str, Any] = {k: np.ascontiguousarray(getattr(self, k)[where]) for k in rasters}
         return type(self)(self.grid.part(where), **fields)
@@ -221,14 +221,14 @@ class TerrainMap(OnGrid):
 
 @dataclass(frozen=True, eq=False)
 class PriorHeights:
-    """External DEM in the world frame. Its vertical datum may be unknown, as the pictures give its offset."""
+    """External DEM in the world frame. Its vertical datum may be unknown: a map gives the offset of its heights."""
 
     name: str  # file name, with unit and vertical datum
     grid: Grid
     height: F32  # (R, C) metres above the origin, treated as ellipsoidal heights; NaN = unknown
 
     def at(self, east: F64, north: F64) -> F64:
-        """Return the height of the cell nearest to each position (metres); NaN where it is unknown."""
+        """Return the height (metres) of the cell nearest to each position (metres); NaN where it is unknown."""
         return self.grid.nearest_at(self.height, east, north).astype(np.float64)
 
     def over(self, grid: Grid) -> F64:

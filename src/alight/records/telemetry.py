@@ -88,7 +88,7 @@ class Home:
         return cls(*numbers)
 
     def with_separation(self, separation: float) -> Home:
-        """Return the home with this separation, metres, unless it already has a finite one."""
+        """Return this home with `separation` (metres, geoid above ellipsoid); a finite separation is not replaced."""
         return self if math.isfinite(self.separation) else replace(self, separation=separation)
 
 

@@ -66,8 +66,10 @@ def _land(result: RunResult, best: Site) -> Answer:
     reserve = f" {words.counted(more, 'more site').capitalize()} in reserve." if more else ""
     if result.sites.candidates:
         reserve += f" {words.counted(len(result.sites.candidates), 'candidate').capitalize()} to look at again."
+    kind: Literal["site", "candidate"] = "site" if result.sites.ground_judged else "candidate"
+    headline = "Land here" if result.sites.ground_judged else "The shape fits, the ground was not judged"
     return Answer(
-        "site", f"Land here: {words.place(result, best)}", detail + reserve, link=words.geo_uri(result, best),
+        kind, f"{headline}: {words.place(result, best)}", detail + reserve, link=words.geo_uri(result, best),
         chips=chips(result, best), factors=words.factors(best), cautions=cautions(result, best),
     )  # fmt: skip
 
@@ -116,8 +118,9 @@ def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
     lander, sigma = result.settings.lander, _place_sigma(result)
     place = words.UNKNOWN if sigma is None else "± {} across, ± {} up".format(*map(words.metres, sigma))
     look = [("Doubt", words.doubt(site)), ("Look again from", words.look_from(site))] if site.doubt else []
+    safe = "Chance of a safe touchdown" if result.sites.ground_judged else "Chance that the shape is safe"
     return [
-        ("Chance of a safe touchdown", words.chance(site.p_safe)),
+        (safe, words.chance(site.p_safe)),
         *look,
         ("Slope", f"{words.angle(site.slope)} of {words.angle(lander.max_slope)}"),
         ("Largest bump", f"{words.metres(site.roughness)} of {words.metres(lander.max_roughness)}"),

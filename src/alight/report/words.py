@@ -76,9 +76,10 @@ def probability(p: float) -> str:
 def factors(site: Site) -> str:
     """Return the factors of P(safe) as text, such as "relief 0.99, unseen obstacles 0.93, ground 1"."""
     smallest = f" (smallest that would be found: {metres(site.resolved)})" if math.isfinite(site.resolved) else ""
+    ground = probability(site.p_ground) if math.isfinite(site.p_ground) else "not judged"
     return (
         f"relief {probability(site.p_relief)}, unseen obstacles {probability(site.p_obstacle)}{smallest}, "
-        f"ground {probability(site.p_ground)}"
+        f"ground {ground}"
     )
 
 

@@ -5,18 +5,26 @@ from __future__ import annotations
 import time
 from functools import partial
 
+import numpy as np
+
 from alight.geometry import LocalFrame
 from alight.hazards import assess
 from alight.hazards.sharpen import sharpen
 from alight.landing.sites import choose_sites
 from alight.outputs.verdict import write_judgement
-from alight.records import RunResult
+from alight.pipeline.judging import find_land_cover
+from alight.records import ElevationMap, RunResult, TerrainMap
 from alight.result import Result
+from alight.runs import appearance_of
 from alight.settings import Settings, StageSettings, load_settings
 from alight.sources.raster import GroundRaster
 
 # surveyed heights show every obstacle and lie level, unless the user's settings differ
 SURVEYED = ("tuning.hazards.smoothed=false", "tuning.hazards.tilt_sigma=0.003", "tuning.hazards.noise_length=0.4")
+GROUND_UNSEEN = (
+    "the kind of ground is not judged: heights alone show neither water nor plants, and P(safe) is that of the shape; "
+    "give a picture in colour (--image)"
+)
 IMAGE_UNUSED = "the image is not used: light and shade do not explain it (paint, plants, another time of day)"
 
 
@@ -40,6 +48,14 @@ def _too_wide(cell: float, stages: StageSettings) -> list[str]:
     ]
 
 
+def _land_cover(elevation: ElevationMap, settings: Settings) -> TerrainMap | None:
+    """Estimate the land cover from heights and picture; None if the picture is grey or the settings disable it."""
+    if not settings.terrain.enabled:
+        return None
+    found = find_land_cover(elevation, settings.stages().terrain, appearance_of(settings))
+    return found if found.coloured else None
+
+
 def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Result:
     """Return P(safe) and reasons of each cell of a height raster, and the landing sites of the lander.
 
@@ -53,7 +69,10 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Result:
     clock.append(time.perf_counter())
     stages = settings.stages()
     warnings += _too_wide(elevation.grid.cell, stages)
-    hazards = assess(elevation, None, stages.lander, stages.hazards)
+    land_cover = _land_cover(elevation, settings) if ground.image is not None else None
+    warnings += [GROUND_UNSEEN] if land_cover is None else []
+    clock.append(time.perf_counter())
+    hazards = assess(elevation, land_cover, stages.lander, stages.hazards)
     clock.append(time.perf_counter())
     result = RunResult(
         source_name=name,
@@ -61,12 +80,13 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Result:
         local=LocalFrame(0.0, 0.0, 0.0),
         georeferenced=False,  # the page shows the coordinates of the raster's plane
         settings=settings,
-        sites=choose_sites(hazards, None, elevation, stages.sites, stages.lander),
+        sites=choose_sites(hazards, land_cover, elevation, stages.sites, stages.lander),
+        terrain=land_cover,
         elevation=elevation,
         hazards=hazards,
         notes={"heights": ground.settled} if ground.settled else {},
         warnings=warnings,
-        timings={"sharpen": [clock[1] - clock[0]], "hazards": [clock[2] - clock[1]]},
+        timings=dict(zip(("sharpen", "terrain", "hazards"), [[float(s)] for s in np.diff(clock)], strict=True)),
     )
     sharpened = elevation is not ground.elevation
     return Result(result, partial(write_judgement, plane=ground.plane, sharpened=sharpened, inputs=ground.files))

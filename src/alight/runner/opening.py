@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from alight.sources.live import LiveSource
 
 VIDEOS = (".mp4", ".mov", ".m4v")
-LOGS = (".ulg", ".bin", ".tlog")
+LOGS = {".ulg": rb"ULog", ".bin": rb"\xa3\x95", ".tlog": rb".{8}[\xfd\xfe]"}  # first bytes of autopilots' logs
 LOOKED_FOR = (
     "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos, frames "
     "with an autopilot's log (.ulg, .bin, .tlog), or a video (.mp4) with a .srt or .gpx"
@@ -64,19 +65,20 @@ def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | Non
     if path.is_file() and path.suffix.lower() in VIDEOS:
         from alight.photos.reading.video import open_video
 
-        return open_video(path, settings, lambda: _telemetry_of_log(path, settings))
+        return open_video(path, settings, lambda own: _telemetry_of_log(path, settings, own))
     if not path.is_dir():
         raise InputError(f"{path}: a file; give {LOOKED_FOR}")
     root = path.resolve()
-    log = log_in(root)
     if (root / "mav0").is_dir() or root.name == "mav0" or (root / "cam0" / "data.csv").is_file():
         from alight.sources.flight_log import FlightLog
 
         flight = FlightLog(root, settings)
-        if log is None or flight.georeferenced:
-            return flight
-        return _with_log(flight, log, settings)
-    if log is not None and not _have_places(root):
+        log = None if flight.georeferenced else log_in(root)
+        return flight if log is None else _with_log(flight, log, settings)
+    beside = sorted(p.name for p in root.iterdir() if p.suffix.lower() in LOGS)
+    if beside and _have_places(root):
+        beside = []
+    if beside and (log := log_in(root)) is not None:
         from alight.sources.frame_folder import FrameFolder
 
         return _with_log(FrameFolder(root, settings), log, settings)
@@ -85,7 +87,12 @@ def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | Non
     if (found := find_photos(root)).files:
         from alight.photos.reading.photos import Photos
 
-        return Photos(root, found.files, settings, found.closed, places=places, geoid=geoid)
+        try:
+            return Photos(root, found.files, settings, found.closed, places=places, geoid=geoid)
+        except InputError as e:
+            if beside:
+                raise InputError(f"{e}; no autopilot's log, by the first bytes: {', '.join(beside)}") from e
+            raise
     if not any(root.iterdir()):
         raise InputError(f"{path}: the folder is empty; give {LOOKED_FOR}")
     if inside := sorted(p.parent.name for p in root.glob("*/mav0")):
@@ -97,21 +104,29 @@ def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | Non
 
 
 def log_in(folder: Path) -> Path | None:
-    """Return the autopilot's log in a folder of frames; None: the folder has no log.
+    """Return the autopilot's log in a folder of frames, by suffix and first bytes; None: the folder has no log.
 
     Raises:
         InputError: the folder has several logs.
     """
-    found = sorted(p for p in folder.iterdir() if p.suffix.lower() in LOGS and p.is_file())
+    found = sorted(p for p in folder.iterdir() if _is_log(p))
     if len(found) > 1:
         raise InputError(f"{folder}: holds {len(found)} logs of an autopilot; leave the one of these frames in it")
     return found[0] if found else None
 
 
-def _telemetry_of_log(film: Path, settings: Settings) -> FilmTelemetry | None:
-    """Return the positions in the log with the film's name, else in the only log of its folder; None: no log."""
-    own = (p for p in sorted(film.parent.iterdir()) if p.stem == film.stem and p.suffix.lower() in LOGS)
-    log = next(own, None) or log_in(film.parent)
+def _is_log(path: Path) -> bool:
+    """Whether a file is an autopilot's log. Cameras and receivers write files with the suffix .bin as well."""
+    if path.suffix.lower() not in LOGS or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return re.match(LOGS[path.suffix.lower()], file.read(9), re.DOTALL) is not None
+
+
+def _telemetry_of_log(film: Path, settings: Settings, own: bool) -> FilmTelemetry | None:
+    """Return positions for a film, from the log of the same name if `own`, else from its folder's log; None: no log."""
+    named = (p for p in sorted(film.parent.iterdir()) if p.stem == film.stem and _is_log(p))
+    log = next(named, None) if own else log_in(film.parent)
     if log is None:
         return None
     from alight.flight.logs.logged import streams_of
@@ -128,14 +143,16 @@ def _telemetry_of_log(film: Path, settings: Settings) -> FilmTelemetry | None:
 
 
 def _have_places(folder: Path) -> bool:
-    """Whether the first readable picture of a folder has a position in its tags; True without any pictures."""
+    """Whether one of about eight pictures of a folder has a position in its tags; True if there are no pictures."""
     from alight.photos.reading.photo_tags import read_tags
     from alight.sources.frame_folder import frames_in
     from alight.sources.images import UNREADABLE
 
-    for path in (found := frames_in(folder)):
+    found = frames_in(folder)
+    for path in found[:: len(found) // 8 + 1]:  # the first may be taken before the receiver's first fix
         with suppress(*UNREADABLE):
-            return read_tags(path)[0].place is not None
+            if read_tags(path)[0].place is not None:
+                return True
     return not found
 
 

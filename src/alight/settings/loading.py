@@ -84,7 +84,7 @@ def _tree(pairs: Iterable[tuple[str, Any]]) -> Tree:
 
 
 def _put(tree: Tree, key: str, value: Any) -> None:
-    """Put a value into the tree; a group of keys is merged with the group that the tree holds."""
+    """Put a value into the tree at a dotted `key`; a group of keys is merged with the group that the tree holds."""
     *path, last = key.split(".")
     for part in path:
         tree = tree.setdefault(part, {})

@@ -44,7 +44,10 @@ def effects() -> dict[str, dict[str, Any]]:
 
 
 def _tables(keys: dict[str, FieldInfo], heading: str, measured: dict[str, dict[str, Any]] | None = None) -> str:
-    """Return one table per group of keys; with `measured`, it has a column of effects."""
+    """Return one Markdown table per group of keys, below a line of `heading` (such as `##`) and the name of the group.
+
+    `measured`: see `effects`; if given, the tables have a column of effects.
+    """
     parts = []
     names = ["key", "default", "meaning", *(["effect"] if measured is not None else [])]
     for group, members in groupby(keys.items(), lambda item: item[0].rpartition(".")[0]):

@@ -63,7 +63,7 @@ def _model_of(path: Path) -> Model:
 
 
 def _classes(codes: NDArray[Any]) -> U8:
-    """Return the classes of a model; raise ValueError if they are not codes of land cover."""
+    """Return the land-cover codes of a model as bytes; raise ValueError if `codes` are not different valid codes."""
     if codes.ndim != 1 or codes.dtype.kind not in "ui" or not 1 < codes.size == np.unique(codes).size:
         raise ValueError("its classes are no list of different codes")
     if codes.min() < 1 or codes.max() > max(Terrain):
@@ -72,7 +72,11 @@ def _classes(codes: NDArray[Any]) -> U8:
 
 
 def _head(z: Mapping[str, NDArray[Any]], classes: int, level: int) -> Head | None:
-    """Return the head of a level from the arrays `z`, None if absent; raise ValueError if its arrays are not valid."""
+    """Return the head of a level from the named arrays `z` of a model with `classes` classes; None if it is absent.
+
+    Raises:
+        ValueError: an array is not valid.
+    """
     if f"{level}.names" not in z:
         return None
     if tuple(z[f"{level}.names"]) != names(level):

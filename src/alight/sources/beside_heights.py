@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,14 +20,14 @@ from alight.sources.opened_raster import OpenedRaster, open_raster, read_on
 from alight.sources.raster_band import band_in_metres, bands_of_picture
 from alight.sources.raster_plane import DRIFT
 
-SIGMA = "sigma"  # name of the band that holds 1-sigma
+SIGMA = re.compile(r".*(sigma|std|standard dev|uncert)", re.I)  # names of bands that hold 1-sigma
 MOST_PIXELS = 16  # greatest number of image pixels per cell side
 
 
 class Beside(NamedTuple):
-    """A raster resampled to the cells of the heights, or to a whole number of pixels per cell side."""
+    """Values of a raster, resampled to the cells of the heights or to f x f pixels per cell."""
 
-    values: NDArray[Any]
+    values: NDArray[Any]  # (R, C) or, for an image, (f R, f C) or (f R, f C, 3)
     settled: str  # unit and resampling, in words
     warnings: list[str]
 
@@ -39,7 +40,7 @@ class _Placement(NamedTuple):
 
 
 def _placement(raster: OpenedRaster, heights: RasterHeights) -> _Placement:
-    """Return where a raster lies, by its georeference or, without one, by the whole extent of the heights."""
+    """Return where a raster lies: by its georeference or, if it has none, over the whole extent of the heights."""
     own, other, dataset = heights.plane.reference, raster.reference, raster.dataset
     if not raster.has_place:
         (rows, cols), (height, width) = heights.shape, dataset.shape
@@ -73,7 +74,10 @@ def _placement(raster: OpenedRaster, heights: RasterHeights) -> _Placement:
 def _on_cells(
     raster: OpenedRaster, heights: RasterHeights, at: _Placement, bands: list[int], how: Resampling, factor: int = 1
 ) -> F64:
-    """Read bands of a raster placed by `at`, (B, f R, f C) with f = `factor` pixels per side of a height cell."""
+    """Read bands of a raster at f = `factor` pixels per side of a height cell; return (B, f R, f C).
+
+    `at`: where the raster lies; `bands`: numbers from 1; `how`: method of resampling.
+    """
     plane = heights.plane
     grid = plane.grid_in_crs(plane.grid.finer(factor))
     together = "YES" if len(bands) > 1 else "NO"  # a pixel is no-data if all of its colours are no-data
@@ -95,7 +99,7 @@ def _shares_cells(raster: OpenedRaster, heights: RasterHeights, at: _Placement, 
 
 
 def _coverage(raster: OpenedRaster, known: NDArray[np.bool_], lost: str) -> list[str]:
-    """Return a warning, which ends with `lost`, if the raster covers only part of the heights, by the mask `known`.
+    """Return one warning, which ends with `lost`, or none if the raster covers all heights: `known` is True everywhere.
 
     Raises:
         InputError: the raster covers no height.
@@ -107,41 +111,58 @@ def _coverage(raster: OpenedRaster, known: NDArray[np.bool_], lost: str) -> list
 
 
 def own_sigma(raster: OpenedRaster, heights: RasterHeights) -> Beside | None:
-    """Read the band `sigma` of the heights' own raster, (R, C) metres; None if there is no such band."""
-    if SIGMA not in raster.dataset.descriptions:
+    """Read the first band named as 1-sigma in the heights' own raster, (R, C) metres; None if there is no such band."""
+    if (number := _band_of_sigma(raster)) is None:
         return None
-    band = band_in_metres(raster, raster.dataset.descriptions.index(SIGMA) + 1, heights.band.unit == 1.0)
+    band = band_in_metres(raster, number, heights.band.unit == 1.0)
     plane = heights.plane
     stored = read_on(raster, [band.number], plane.crs, plane.grid_in_crs(plane.grid))[0]
-    return Beside(band.lengths(stored), f"sigma in {band.settled}", [])
+    return _without_zeros(raster, heights, Beside(band.lengths(stored), f"sigma in {band.settled}", []))
+
+
+def _band_of_sigma(raster: OpenedRaster) -> int | None:
+    return next((n for n, name in enumerate(raster.dataset.descriptions, 1) if SIGMA.match(name or "")), None)
+
+
+def _without_zeros(raster: OpenedRaster, heights: RasterHeights, sigma: Beside) -> Beside:
+    """Return a sigma with NaN in place of 0, because no measured height is exact and 0 often means "not measured"."""
+    share = 100.0 * float((sigma.values == 0)[np.isfinite(heights.metres)].mean())
+    warning = (
+        f"{raster.path.name}: sigma is 0 in {share:.3g} % of the heights, which are taken as not measured; a sigma of "
+        "all heights is given by --sigma METRES"
+    )
+    values = np.where(sigma.values == 0, np.nan, sigma.values)
+    return Beside(values, sigma.settled, sigma.warnings + ([warning] if share else []))
 
 
 def sigma_beside(path: Path, heights: RasterHeights) -> Beside:
     """Read 1-sigma of the heights, (R, C) metres; each cell gets the largest of all sigma cells that it touches.
 
+    A sigma of 0 is unknown.
+
     Raises:
         InputError: the file is not a raster, its unit cannot be determined, it lies elsewhere, or has values below 0.
     """
     with open_raster(path) as raster:
-        names, at = raster.dataset.descriptions, _placement(raster, heights)
-        number = names.index(SIGMA) + 1 if SIGMA in names else 1
+        at, number = _placement(raster, heights), _band_of_sigma(raster) or 1
         band = band_in_metres(raster, number, heights.band.unit == 1.0 and raster.reference.is_metric)
         resampled = not _shares_cells(raster, heights, at)
         sigma = band.lengths(_on_cells(raster, heights, at, [number], Resampling.nearest)[0])
         if resampled:
-            sigma = np.maximum(sigma, band.lengths(_on_cells(raster, heights, at, [number], Resampling.max)[0]))
+            touched = band.lengths(_on_cells(raster, heights, at, [number], Resampling.max)[0])
+            sigma = np.where(sigma == 0, sigma, np.maximum(sigma, touched))
         if (sigma < 0).any():
             raise InputError(f"{path}: sigma below 0; give 1-sigma in metres")
         beyond = _coverage(raster, np.isfinite(sigma)[np.isfinite(heights.metres)], "no sigma beyond")
-    words = f"{path.name}: sigma in {band.settled}{', resampled' if resampled else ''}"
-    return Beside(sigma, words, at.warnings + beyond)
+        words = f"{path.name}: sigma in {band.settled}{', resampled' if resampled else ''}"
+        return _without_zeros(raster, heights, Beside(sigma, words, at.warnings + beyond))
 
 
 def image_beside(path: Path, heights: RasterHeights) -> Beside:
     """Read an image of the ground as 8 bits, (f R, f C) or (f R, f C, 3), with f = 1, 2, 4, ... pixels per cell side.
 
-    Colours of a palette are expanded. Other depths than 8 bits are scaled, with 0 as black. Pixels outside the image
-    get its median colour.
+    Bands are chosen by `bands_of_picture`; colours of a palette are expanded. Other depths than 8 bits are scaled, with
+    0 as black. Pixels outside the image get its median colour.
 
     Raises:
         InputError: the file is not a raster, holds no picture, or lies elsewhere.
@@ -169,5 +190,11 @@ def image_beside(path: Path, heights: RasterHeights) -> Beside:
             pixels = pixels * (255.0 / bright)
         pixels = np.rint(np.where(known, pixels, np.median(pixels[:, known], axis=1)[:, None, None]))
     out = np.moveaxis(np.clip(pixels, 0, 255).astype(np.uint8), 0, 2)
-    words = f"{path.name}: {len(out[0, 0])} band(s), {factor} pixel(s) a cell"
+    kind = "as grey" if len(bands) == 1 and not palette else "as red, green, blue"
+    words = f"{path.name}: band {', '.join(map(str, bands))} of {dataset.count} {kind}, {factor} pixel(s) a cell"
+    if len(bands) == 1 and dataset.count > 2:
+        beyond.append(
+            f"{path.name}: which bands are red, green and blue is not clear, so band {bands[0]} is used as grey; take "
+            "them out: gdal_translate -b <red> -b <green> -b <blue>"
+        )
     return Beside(out if out.shape[2] == 3 else out[..., 0], words, at.warnings + beyond)

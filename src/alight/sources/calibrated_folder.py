@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 
@@ -21,7 +22,8 @@ from alight.sources.calibration import (
     read_time_shifts,
     rig_camera,
 )
-from alight.sources.images import read_image
+from alight.sources.image_formats import Levels, levels_of
+from alight.sources.images import UNREADABLE, read_header, read_image
 from alight.sources.source import Source
 
 IMU_NOISE = (1e-9, 1e3)  # lower and upper limit, in the units of imu0/sensor.yaml
@@ -41,6 +43,7 @@ class CalibratedFolder(Source):
         self.georeferenced = (self._root / "nav0").is_dir()
         self.local = origin(self._root / "nav0/sensor.yaml") if self.georeferenced else LocalFrame(0.0, 0.0, 0.0)
         self._body_from_imu = self._read_imu_pose()
+        self._levels: dict[str, Levels | None] = {}
         self.rig = self._read_rig(settings)
         self._ahead_ns = self._read_time_shifts(settings)  # ns per camera, stamps ahead of the IMU's clock
 
@@ -69,7 +72,9 @@ class CalibratedFolder(Source):
         return self._root / cam / "data" / name
 
     def _image(self, index: int, name: str | None, unfinished: bool = False) -> U8 | None:
-        """Decode a camera's image; None if `name` is None or the image cannot be read, which is recorded.
+        """Decode the image `name` of the camera with the index `index`; None if `name` is None.
+
+        An image that cannot be read gives None as well, and is recorded as lost.
 
         Raises:
             ValueError: the image cannot be read, and `unfinished` is set because it may still be written.
@@ -77,13 +82,33 @@ class CalibratedFolder(Source):
         if name is None:
             return None
         cam = self.rig.cameras[index]
+        path = self._image_path(cam.name, name)
         try:
-            return read_image(self._image_path(cam.name, name), (cam.camera.width, cam.camera.height))
+            return read_image(path, (cam.camera.width, cam.camera.height), self._levels_of(cam.name, path))
         except ValueError as e:
             if unfinished:
                 raise
             self.findings.lose(f"{cam.name} images", name, str(e))
             return None
+
+    def _levels_of(self, cam: str, path: Path) -> Levels | None:
+        """Return the levels of camera `cam` for images like `path`; None if they have eight bits or cannot be read.
+
+        Levels come from a sample of the images in the folder of `path`. Sensors of 10 or 12 bits are stored in 16, of
+        which the upper eight would be nearly black.
+        """
+        if cam in self._levels:
+            return self._levels[cam]
+        with suppress(*UNREADABLE):
+            deep = read_header(path).bits > 8
+            files = sorted(path.parent.glob(f"*{path.suffix}")) if deep else []
+            found = levels_of(files[:: len(files) // 24 + 1])
+            if found or not deep:
+                self._levels[cam] = found
+            if found:
+                self.notes.setdefault("levels", {})[cam] = f"{found.low:g} to {found.high:g} become 0 to 255"
+            return found
+        return None
 
     def _read_imu_pose(self) -> Pose:
         path = self._root / "imu0" / "sensor.yaml"
@@ -103,13 +128,14 @@ class CalibratedFolder(Source):
         return pose
 
     def _read_time_shifts(self, settings: Settings) -> list[int]:
-        """Return ns by which each camera's stamps are ahead of the IMU's clock, by Kalibr's file and the settings."""
+        """Return the ns by which each camera's stamps are ahead of the IMU's clock, by Kalibr and the settings."""
         cameras, given = len(self.rig.cameras), settings.motion.filter.time_offset
         path = settings.sources.calibration
-        shifts = read_time_shifts(Path(path).expanduser(), cameras) if path else []
-        if all(shift is None for shift in shifts):
+        read = read_time_shifts(Path(path).expanduser(), cameras) if path else []
+        if all(shift is None for shift in read):
             return [0] * cameras
-        ahead = [-(shift or 0.0) for shift in shifts]
+        shifts = self._without_gaps(read)
+        ahead = [-shift for shift in shifts]
         if given:
             self.findings.warn(
                 f"motion.filter.time_offset={given:g} is used instead of timeshift_cam_imu, by which cam0 is "
@@ -119,6 +145,40 @@ class CalibratedFolder(Source):
         else:
             self.notes["timeshift_cam_imu"] = shifts
         return [round(1e9 * a) for a in ahead]
+
+    def _without_gaps(self, shifts: list[float | None]) -> list[float]:
+        """Return the cameras' time shifts (s) with a value for each missing shift (None).
+
+        It is the first given shift, or 0 if the exposures of the two cameras then coincide better.
+        """
+        first, shift = next((k, shift) for k, shift in enumerate(shifts) if shift is not None)
+        out = list[float]()
+        for k, own in enumerate(shifts):
+            if own is None:
+                own = shift if self._apart(k, first, 0.0) <= self._apart(k, first, shift) else 0.0
+                self.findings.warn(
+                    f"timeshift_cam_imu is missing for cam{k}: {own:+.4f} s is used, with which its exposures meet "
+                    f"those of cam{first}"
+                )
+            out.append(own)
+        return out
+
+    def _apart(self, camera: int, other: int, shift: float) -> float:
+        """Return the median time in ns from each stamp of `camera` to the nearest stamp of `other`, two camera indices.
+
+        The stamps of `other` are first moved by `shift` seconds. 0 if a camera has too few stamps.
+        """
+        tables = (self._root / self.rig.cameras[k].name / "data.csv" for k in (camera, other))
+        lines = (table.read_text("utf-8", "replace").splitlines() if table.is_file() else [] for table in tables)
+        own, others = (
+            np.sort([float(text) for line in some if (text := line.partition(",")[0].strip()).isdecimal()])
+            for some in lines
+        )
+        if not len(own) or len(others) < 2:
+            return 0.0
+        others += 1e9 * shift
+        after = np.searchsorted(others, own).clip(1, len(others) - 1)
+        return float(np.median(np.minimum(np.abs(others[after] - own), np.abs(others[after - 1] - own))))
 
     def _read_rig(self, settings: Settings) -> Rig:
         numbered = (p for p in self._root.glob("cam*") if re.fullmatch("cam[0-9]+", p.name))

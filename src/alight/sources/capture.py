@@ -53,9 +53,10 @@ def _read(
     put: Callable[[StampedImage | None], None],
     over: threading.Event,
 ) -> None:
-    """Pass the images of one camera to `put` until it ends or `over` is set, then None.
+    """Pass the images of one camera to `put`, with stamps, until it ends or `over` is set; then pass None.
 
-    `own_time`: whether to pace and stamp the images by the capture's own time, as for a film.
+    `capture`: opened by OpenCV. `own_time`: whether to pace and stamp images by the capture's own time, as for a film.
+    Images that do not have `size` (width, height) are dropped.
     """
     clock, begin = SensorClock(), time.monotonic()
     while not over.is_set():
@@ -128,7 +129,7 @@ class Cameras(CalibratedFolder):
         self._note(False, False)
 
     def events(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
-        """Yield an exposure as soon as all cameras have delivered it.
+        """Yield an exposure as soon as all cameras have delivered it, until `stopped()` is True or the cameras end.
 
         Raises:
             InputError: a camera cannot be opened.

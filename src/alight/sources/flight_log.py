@@ -65,7 +65,7 @@ class FlightLog(CalibratedFolder):
         return heapq.merge(*streams, key=lambda event: event.t_ns)  # equal times in the order of this list
 
     def _read_nav(self) -> Table | None:
-        """Read the usable rows of `nav0`, None if there are none; refuse an origin far from them."""
+        """Return the usable rows of `nav0`, or None; raise InputError if the world's origin is far from the rows."""
         nav = usable_nav(read_table(self._root, "nav0", self.findings), self.findings)
         if nav is None:
             if self.georeferenced:
@@ -129,14 +129,14 @@ class FlightLog(CalibratedFolder):
         return exposures
 
     def _overlapping(self, table: Table | None, name: str, stamps: I64) -> Table | None:
-        """Return a stream; None, with a warning, if it does not overlap with the images in time."""
+        """Return the table of the stream `name`; None, with a warning, if it has no time in common with the images."""
         if table is None or not (why := _no_overlap(name, table.t_ns, "the images", stamps)):
             return table
         self.findings.warn(why)
         return None
 
     def _images(self, cam: str) -> list[tuple[int, str]]:
-        """Return (ns, name) of a camera's existing images; images missing at either end are not counted as lost."""
+        """Return (ns, name) of the images in folder `cam`; record missing ones as lost, except at the start and end."""
         table, group = self._root / cam / "data.csv", f"{cam} images"
         if not table.is_file():
             raise InputError(f"{table}: missing, or no plain file; write lines of 'timestamp [ns],filename'")
@@ -153,7 +153,7 @@ class FlightLog(CalibratedFolder):
         return [row for row, here in zip(rows, there, strict=True) if here]
 
     def _check_size(self, cam: str, size: tuple[int, int], stream: list[tuple[int, str]]) -> None:
-        """Refuse a calibration for another image size, by comparing it with the first readable image."""
+        """Raise InputError if the first readable image of `stream` (ns, name) does not have the calibrated `size`."""
         for _, name in stream:
             try:
                 real = image_size(self._image_path(cam, name))

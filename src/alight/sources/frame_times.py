@@ -19,6 +19,9 @@ UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 INTERVALS = (2e-3, 1.99)  # s, plausible median interval; limits differ by less than 1000, so that one unit fits
 DIGITS = 10  # least digits of a time in a name; a shorter number is a count
 _NUMBER = re.compile(r"\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+_CALENDAR = re.compile(  # such as 20240102100059, 240102100059, 2024-01-02_10-00-59.250
+    r"(?<!\d)((?:(?:19|20)\d\d)([-_]?)\d\d\2\d\d[-_T ]?\d\d([-_.]?)\d\d\3\d\d)(?:[-_.]?((?:\d{3}){1,3}))?(?!\d)"
+)
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)(\.\d+)?")
 
 
@@ -45,6 +48,11 @@ def frame_times(folder: Path, names: Sequence[str], rate: float | None) -> Frame
     for path in (place / name for place in (folder, folder.parent) for name in TABLES):
         if path.is_file() and (found := _table(path, ordered)) is not None:
             return found
+    dates = [date for name in ordered if (date := _date_in(Path(name).stem))]
+    if len(dates) == len(ordered) and dates:
+        if len(set(dates)) < len(dates):
+            raise InputError(f"{folder}: several frames have one date and time in their names; set sources.rate=HZ")
+        return _timed(list(zip(dates, ordered, strict=True)), "dates in the names of the frames", str(folder), "time_s")
     stamps = [max(_NUMBER.findall(Path(name).stem), key=len, default="") for name in ordered]
     if all(len(s.replace(".", "")) >= DIGITS for s in stamps):
         return _timed(list(zip(stamps, ordered, strict=True)), "the names of the frames", str(folder))
@@ -54,6 +62,17 @@ def frame_times(folder: Path, names: Sequence[str], rate: float | None) -> Frame
     )
 
 
+def _date_in(stem: str) -> str:
+    """Return the date and time in a file name (without suffix) as text, seconds since 1970; empty if there is none."""
+    if not (found := _CALENDAR.search(re.sub(r"(?<!\d)(\d{12})(?!\d)", r"20\1", stem))):
+        return ""
+    try:
+        whole = datetime.strptime(re.sub(r"\D", "", found[1]) + "+0000", "%Y%m%d%H%M%S%z")
+    except ValueError:  # such as a month of 13: another number
+        return ""
+    return f"{int(whole.timestamp())}.{found[4] or 0}"
+
+
 def _natural(name: str) -> list[str | Decimal]:
     """Return a key that sorts frame_10 after frame_9."""
     parts = re.split(r"(\d+)", name)
@@ -61,7 +80,7 @@ def _natural(name: str) -> list[str | Decimal]:
 
 
 def _table(path: Path, names: Sequence[str]) -> FrameTimes | None:
-    """Read a table of times, one per file name or one per frame in order; None if it is another kind of table."""
+    """Read a table with one time per file name, or per frame in the order of `names`; None if it is no such table."""
     try:
         lines = read_text(path, 100_000_000).splitlines()
     except (OSError, DocumentError) as e:
@@ -87,7 +106,10 @@ def _epoch(found: re.Match[str]) -> str:
 
 
 def _timed(stamps: Sequence[tuple[str, str]], source: str, where: str, head: str = "") -> FrameTimes:
-    """Convert (time, name) pairs to ns, by the unit in the table's header `head`, else the only plausible unit."""
+    """Convert (time, name) pairs to frames with times in ns, by the unit in `head`, else by the only plausible unit.
+
+    `source`: origin of the times, in words; `where`: start of error messages; `head`: header of a table.
+    """
     numbers = np.sort(np.array([float(t) for t, _ in stamps]))
     steps = np.diff(numbers)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0

@@ -69,7 +69,10 @@ class WaitingExposures(Generic[Item]):
         self._newest = -1  # latest stamp that was yielded
 
     def add(self, camera: int, t_ns: int, item: Item, now: float) -> None:
-        """Add an item to the exposure of equal time, else to the nearest within half a period, else to a new one."""
+        """Add a camera's item to the exposure of equal or nearest time within half a period, or to a new exposure.
+
+        `camera`: index; `now`: present time in s, from which a new exposure waits.
+        """
         if camera == 0:
             self._stamps.append(t_ns)
         steps = np.abs(np.diff(np.array(self._stamps, np.int64)))
@@ -84,7 +87,8 @@ class WaitingExposures(Generic[Item]):
     def ready(self, now: float) -> Iterator[tuple[int, list[Item | None], float]]:
         """Yield and drop (stamp ns, items, waiting time s) in order of time, up to the first exposure that must wait.
 
-        An exposure older than one already yielded does not wait, because its partner has been yielded alone.
+        `now` is the present time in s. An exposure that lacks an item waits for `PARTNER` seconds. An exposure older
+        than one already yielded does not wait, because its partner has been yielded alone.
         """
         for t_ns in sorted(self.items):
             items, waited = self.items[t_ns], now - self._since[t_ns]
@@ -115,7 +119,10 @@ class GrowingLog(CalibratedFolder):
         self._note((self._root / "nav0").is_dir(), (self._root / "imu0").is_dir())
 
     def events(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
-        """Yield events in the order in which they appear; events that appear together are sorted by time."""
+        """Yield events as they appear; events found at once are sorted by time.
+
+        The iteration ends when `stopped` returns True, or after `idle` seconds without an event.
+        """
         last = time.monotonic()
         while not stopped():
             found = [*self._new_rows(), *self._new_exposures()]
@@ -162,7 +169,10 @@ class GrowingLog(CalibratedFolder):
                 yield Frame(t_ns, images, next(n for n in names if n))
 
     def _images(self, names: list[str | None], late: bool) -> tuple[U8 | None, ...] | None:
-        """Return the images of an exposure, or None while one may be incomplete; if `late`, do not wait for it."""
+        """Return the images of an exposure by file names; None while an image may be incomplete.
+
+        With `late`, an image that cannot be read is recorded as lost, and no longer waited for.
+        """
         try:
             return tuple(self._image(k, name, unfinished=not late) for k, name in enumerate(names))
         except ValueError:

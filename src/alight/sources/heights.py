@@ -99,10 +99,18 @@ def doubt_of_heights(raster: OpenedRaster, band: Band, stored: F64) -> str | Non
 
 
 def _no_height(values: F64, metres: F64, declared: float | None) -> float | None:
-    """Return a value that cannot be a height or, without `declared` no-data, is far from all others; else None."""
-    for v, height in ((values[0], metres[0]), (values[-1], metres[-1])):
-        if not -HIGHEST <= height <= HIGHEST or v in (-9999.0, -999.0, 9999.0):  # common codes for unknown heights
-            return float(v)
+    """Return a value that cannot be a height or, if no-data is not `declared`, is far from all others; else None.
+
+    `values` (n,) are the different stored values, ascending, and `metres` (n,) the same values in metres. Common codes
+    for unknown heights are no heights in metres. In another unit they may be (9999 dm), unless the step to the next
+    value is the largest of all.
+    """
+    steps = np.abs(np.diff(metres))
+    for at, own, others in ((0, steps[:1], steps[1:]), (-1, steps[-1:], steps[:-1])):
+        is_alone = abs(metres[at]) == abs(values[at]) or not own.size or own[0] > others.max(initial=0.0)
+        is_code = is_alone and values[at] in (-9999.0, -999.0, 9999.0)
+        if is_code or not -HIGHEST <= metres[at] <= HIGHEST:
+            return float(values[at])
     if declared is not None or values.size < 3:
         return None
     for at, rest in ((0, metres[1:]), (-1, metres[:-1])):
@@ -113,7 +121,10 @@ def _no_height(values: F64, metres: F64, declared: float | None) -> float | None
 
 
 def _filled(raster: OpenedRaster, band: Band, values: F64, counts: I64) -> str | None:
-    """Return a warning if one value fills 2 % of the cells although the other values hardly repeat; None otherwise."""
+    """Return a warning if one value fills 2 % of the cells although the other values hardly repeat; None otherwise.
+
+    `values` (n,) are the different stored values, and `counts` (n,) the number of cells that hold each.
+    """
     total, most = int(counts.sum()), int(counts.max())
     if values.size < 3 or most < 0.02 * total or (values.size - 1) < 0.2 * (total - most):
         return None

@@ -68,7 +68,7 @@ def bits_of(image: Any) -> int:
 
 
 class Levels(NamedTuple):
-    """Values that become 0 and 255 in all pictures of a set with more than eight bits."""
+    """Pixel values that map to 0 and 255, the same for all pictures of a set; for pictures of more than eight bits."""
 
     low: float
     high: float
@@ -85,10 +85,11 @@ class Levels(NamedTuple):
 
 
 def levels_of(paths: Sequence[Path]) -> Levels | None:
-    """Determine the range of a set of similar pictures with more than eight bits; None if none can be read.
+    """Determine the levels of a set of similar pictures of more than eight bits; None if no picture can be read.
 
-    Up to a thousandth of a picture's pixels, such as hot pixels and reflections, may lie below the range, and as many
-    above it. In colour, the range begins at 0, because a higher value would change the ratios of the colours.
+    Up to a thousandth of a picture's pixels, such as hot pixels and reflections, may lie below the lower level, and as
+    many above the upper level. In colour, the lower level is 0, because a higher one would change the ratios of
+    colours.
     """
     lows, highs = [], []
     for path in paths:

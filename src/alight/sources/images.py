@@ -12,7 +12,7 @@ import numpy as np
 from PIL import ExifTags, Image, UnidentifiedImageError
 from PIL.TiffImagePlugin import BITSPERSAMPLE, IMAGELENGTH, IMAGEWIDTH, TiffImageFile
 
-from alight.arrays import U8
+from alight.arrays import F32, U8, Mask
 from alight.sources.image_formats import Levels, bits_of, is_raw, raw_pixels, raw_size
 
 Base = ExifTags.Base
@@ -118,6 +118,37 @@ def _pixels(image: Image.Image) -> U8:
     return np.array(image.convert("L" if image.mode in ("L", "1", "LA") else "RGB"), dtype=np.uint8)
 
 
+def hidden_pixels(path: Path) -> Mask | None:
+    """Return the mask (H, W) of pixels hidden by transparency; None: no pixel or all pixels are hidden, or unknown.
+
+    Raises:
+        One of `UNREADABLE`: the picture is damaged.
+    """
+    try:
+        with open_image(path) as image:
+            if not image.has_transparency_data:
+                return None
+            stored = _not_turned(path) if isinstance(image, TiffImageFile) else image
+            hidden = np.asarray(stored.convert("RGBA").getchannel("A")) < 128
+    except UnidentifiedImageError:
+        return None
+    return hidden if hidden.any() and not hidden.all() else None
+
+
+def _filled(values: F32, seen: Mask) -> F32:
+    """Return `values` (H, W, C) with pixels not `seen` (H, W) filled from ever coarser means of the seen pixels."""
+    import cv2
+
+    if seen.all():
+        return values
+    size = (values.shape[1] + 1) // 2, (values.shape[0] + 1) // 2
+    share = cv2.resize(seen.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    total = cv2.resize(values * seen[..., None], size, interpolation=cv2.INTER_AREA).reshape(*size[::-1], -1)
+    coarse = _filled(np.asarray(total / np.maximum(share, 1e-6)[..., None], np.float32), share > 0)
+    fine = cv2.resize(coarse, seen.shape[::-1], interpolation=cv2.INTER_LINEAR).reshape(values.shape)
+    return np.where(seen[..., None], values, fine)
+
+
 def has_end(jpeg: bytes) -> bool:
     """Whether a JPEG has its end marker; decoders do not notice if a file system replaced its end with zeros."""
     marker, at = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]"), 2  # excludes stuffed bytes and restarts in coded data
@@ -137,7 +168,8 @@ def _check_size(stored: tuple[int, int], size: tuple[int, int]) -> None:
 def read_image(path: Path, size: tuple[int, int], levels: Levels | None = None) -> U8:
     """Decode a whole image as stored, (H, W) if the file is grey, else (H, W, 3) RGB.
 
-    OpenCV decodes a truncated JPEG without an error and leaves its lower part grey; pillow refuses the file.
+    OpenCV decodes a truncated JPEG without an error and leaves its lower part grey; pillow refuses the file. Pixels
+    that transparency hides (propellers, borders) are filled smoothly, because a mask's edges look like features.
 
     Args:
         path: image file; of several images in it, the first is read.
@@ -148,18 +180,27 @@ def read_image(path: Path, size: tuple[int, int], levels: Levels | None = None) 
         ValueError: the image is truncated, damaged, or of another size.
     """
     try:
-        if is_raw(path) or levels is not None:
-            _check_size(read_header(path).size, size)
-            return raw_pixels(path) if levels is None else levels.eight_bits(path)
-        with open_image(path) as image:
-            _check_size(stored_size(image), size)
-            if isinstance(image, TiffImageFile):
-                return _pixels(_not_turned(path))
-            pixels, jpeg = _pixels(image), image.format in ("JPEG", "MPO")
-        if jpeg and not has_end(path.read_bytes()):
-            raise ValueError("it is truncated: its end is missing")
-        return pixels
+        pixels, hidden = _decoded(path, size, levels), hidden_pixels(path)
     except UnidentifiedImageError as e:
         raise ValueError("it is no image") from e
     except UNREADABLE as e:
         raise ValueError(str(e)) from e
+    if hidden is None:
+        return pixels
+    values = pixels.astype(np.float32).reshape(*hidden.shape, -1)
+    return np.asarray(np.rint(_filled(values, ~hidden)), np.uint8).reshape(pixels.shape)
+
+
+def _decoded(path: Path, size: tuple[int, int], levels: Levels | None) -> U8:
+    """Decode an image as stored, without regard to transparency; see `read_image`."""
+    if is_raw(path) or levels is not None:
+        _check_size(read_header(path).size, size)
+        return raw_pixels(path) if levels is None else levels.eight_bits(path)
+    with open_image(path) as image:
+        _check_size(stored_size(image), size)
+        if isinstance(image, TiffImageFile):
+            return _pixels(_not_turned(path))
+        pixels, jpeg = _pixels(image), image.format in ("JPEG", "MPO")
+    if jpeg and not has_end(path.read_bytes()):
+        raise ValueError("it is truncated: its end is missing")
+    return pixels

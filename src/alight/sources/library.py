@@ -105,7 +105,7 @@ def read_library(folder: Path, usual: float = SAMPLING) -> list[LabelledPatch]:
 
     Args:
         folder: contains `bare/`, `water/`, ... or class codes, `5_water/`; index.csv (file, site, gsd_m) is optional.
-        usual: metres per pixel if index.csv gives none.
+        usual: metres per pixel of pictures for which index.csv gives none.
 
     Raises:
         InputError: no sub-folder is named for a class, a class has no pictures, or a picture cannot be read.

@@ -26,7 +26,7 @@ class LiveSource:
     source: Source
     events: Iterator[Event]
     real_time: bool
-    telemetry: Callable[[], Telemetry | None] = lambda: None  # returns the latest of the GPS/INS autopilot
+    telemetry: Callable[[], Telemetry | None] = lambda: None  # newest of an autopilot used as GPS/INS
 
 
 def is_cameras(name: str) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from alight.arrays import F32, U8, Mask
@@ -34,8 +35,8 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
     """Read a height raster as a map that can be judged.
 
     Args:
-        path: raster of heights; its band named `sigma`, if any, holds their 1-sigma.
-        sigma: raster of 1-sigma, or one number in metres; None: the band `sigma`, else `usual_sigma`.
+        path: raster of heights; its band named `sigma`, `std` or `uncertainty`, if any, holds their 1-sigma.
+        sigma: raster of 1-sigma, or one number in metres; None: the band named so, else `usual_sigma`.
         image: image of the same ground, or None.
         usual_sigma: 1-sigma in metres if none is given.
 
@@ -59,7 +60,7 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
     spread = np.where((spread >= 0) & (spread < LARGEST_SIGMA), spread, np.nan).astype(np.float32)
     known &= np.isfinite(spread)
     if not known.any():
-        raise InputError(f"{path}: no height has a sigma; give --sigma in metres")
+        raise InputError(f"{path}: no height has a sigma above 0; give --sigma in metres")
     picture = None if image is None else image_beside(image, heights)
     doubts += picture.warnings if picture else []
     pixels = picture.values if picture else None
@@ -80,16 +81,19 @@ def _sigma(given: str, heights: RasterHeights) -> Beside:
 
 
 def _as_map(grid: Grid, height: F32, sigma: F32, known: Mask, image: U8 | None) -> ElevationMap:
-    grey = np.full((*grid.shape, 3), 128, np.uint8)
-    if image is not None and image.shape[:2] == grid.shape:
-        grey = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    rgb, fine = np.full((*grid.shape, 3), 128, np.uint8), None
+    if image is not None:
+        fine = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+        rgb = np.asarray(cv2.resize(fine, grid.shape[::-1], interpolation=cv2.INTER_AREA), np.uint8)
     return ElevationMap(
         grid=grid,
         height=np.where(known, height, np.float32(np.nan)),
         sigma=sigma,
         flags=np.where(known, np.uint16(0), np.uint16(Flag.UNSEEN)),
         views=np.where(known, np.uint8(9), np.uint8(0)),  # nominal
-        rgb=grey,
-        residual=np.zeros(grid.shape, np.float32),
+        rgb=rgb,
+        residual=np.full(grid.shape, np.nan, np.float32),  # nothing was matched
         sampling=np.full(grid.shape, grid.cell, np.float32),
+        fine=fine,
+        fine_sampling=None if fine is None else np.full(grid.shape, grid.cell * len(rgb) / len(fine), np.float32),
     )

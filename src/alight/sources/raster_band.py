@@ -14,8 +14,11 @@ from alight.sources.opened_raster import OpenedRaster
 
 PREFIXES = {"": 1.0, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3}  # factors of the metre
 HEIGHTS = re.compile(
-    r"(?!.*(sigma|std|error|uncert|accura|rms|count))(.*(height|elevation|altitude)|.*\b(dem|dsm|dtm|z)\b)", re.I
-)
+    r"(?!.*(sigma|std|error|uncert|accura|rms|count|shade|slope|aspect|curv|rough|mask|\bsun))"
+    r"(.*(height|elevation|altitude)|.*\b(dem|dsm|dtm|z)\b)", re.I
+)  # fmt: skip
+COLOURS = ("red", "green", "blue")
+UNSEEN = re.compile(r"infra.?red|red.?edge|nir|swir|lwir|edge|thermal|temperature|ndvi", re.I)  # bands of no colour
 
 
 @dataclass(frozen=True)
@@ -117,10 +120,24 @@ def metres_of(unit: str) -> float | None:
 
 
 def bands_of_picture(raster: OpenedRaster) -> list[int]:
-    """Return the numbers of the colour bands: red, green and blue, else the first three or the first non-alpha band."""
-    kinds = raster.dataset.colorinterp
-    colours = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
-    if all(c in kinds for c in colours):
-        return [kinds.index(c) + 1 for c in colours]
-    seen = [n for n, kind in enumerate(kinds, 1) if kind != ColorInterp.alpha]
-    return seen[:3] if len(seen) >= 3 else seen[:1]
+    """Return the numbers of the bands of red, green and blue, or of one band to be read as grey.
+
+    The names of the bands go before their colour interpretation, which drivers give to any first three bands. Three
+    bands without either are red, green and blue. Of other bands, green or red, else the first one, is read as grey.
+    """
+    names = [name or "" for name in raster.dataset.descriptions]
+    kinds = [kind.name for kind in raster.dataset.colorinterp]
+    named = dict[str, int]()
+    for number, name in enumerate(names, 1):
+        for colour in COLOURS:
+            if re.search(rf"(?<![a-z]){colour}(?![a-z])", UNSEEN.sub("", name), re.I):
+                named.setdefault(colour, number)
+    seen = [n for n, kind in enumerate(kinds, 1) if kind != ColorInterp.alpha.name]
+    if not named and not any(map(UNSEEN.search, names)):
+        if all(c in kinds for c in COLOURS):
+            return [kinds.index(c) + 1 for c in COLOURS]
+        if len(seen) == len(COLOURS):
+            return seen
+    if len(named) == len(COLOURS):
+        return [named[c] for c in COLOURS]
+    return [named.get("green") or named.get("red") or seen[0]]

@@ -142,7 +142,11 @@ def _in_metres(own: Grid, reference: Reference, projection: _Projection) -> Rast
 
 
 def _projection(raster: OpenedRaster, own: Grid) -> _Projection:
-    """Compute point scale (Tissot's indicatrix) and convergence in the middle of `own`; refuse a varying scale."""
+    """Compute the point scale (Tissot's indicatrix) and convergence in the middle of `own`, the raster's own grid.
+
+    Raises:
+        InputError: the projection cannot be used there, or the point scale varies too much.
+    """
     plane = raster.reference.plane
     assert plane is not None
     sides = np.linspace(-0.5, 0.5, 3)
@@ -170,7 +174,7 @@ def _projection(raster: OpenedRaster, own: Grid) -> _Projection:
 
 
 def _to_utm(raster: OpenedRaster, lon: float, lat: float) -> str:
-    """Return the command that converts a raster to the UTM zone of its middle (degrees)."""
+    """Return the command that converts a raster to the UTM zone of its middle at `lon`, `lat` in degrees."""
     if not (abs(lon) <= 360.0 and abs(lat) <= 90.0):
         return f"gdal_edit.py -a_srs <its coordinate system> {raster.file}"
     zone = int((lon + 180.0) % 360.0 // 6.0) + 1

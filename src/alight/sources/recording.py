@@ -55,7 +55,7 @@ def _is_rotation(R: F64) -> bool:
 
 
 def _read_head(text: str, path: Path) -> FlightHead:
-    """Read the head; refuse impossible cameras, an impossible origin, and IMU noise out of range."""
+    """Decode the head of the file `path`; raise InputError if its cameras, origin or IMU noise are impossible."""
     try:
         head = FlightHead.from_json(text)
     except InputError as e:
@@ -78,7 +78,10 @@ def _read_head(text: str, path: Path) -> FlightHead:
 
 
 def _schedule(entries: dict[str, list[Any]], kind: str, entry: Any) -> None:
-    """Add an `entry` of a `kind` to the lists in `entries`, completely or, if it is damaged, not at all."""
+    """Add an `entry` of the schedule (JSON) to the list `kind` in `entries`, and its details to their own lists.
+
+    A damaged entry raises an error and changes no list.
+    """
     t_ns, value = int(entry["t_ns"]), int(entry["value"])
     place = entry["about"]
     about = None if place is None else (float(place[0]), float(place[1]))
@@ -133,7 +136,7 @@ class Recording(Source):
         self.findings.lose(f"{topic[1:]} messages", f"number {number} of {self._found[topic]}", why)
 
     def _scan(self) -> tuple[FlightHead, dict[str, list[Any]], list[str]]:
-        """Read the head, the schedule and the notes, and count the messages."""
+        """Return the head, the schedule's lists by field name, and the notes; count the messages by topic."""
         head, notes, damaged = None, list[str](), list[tuple[str, int, str]]()
         entries: dict[str, list[Any]] = {k: [] for k in Schedule.__dataclass_fields__}
         for topic, data in self._messages():

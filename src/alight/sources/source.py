@@ -62,7 +62,7 @@ class Findings:
 
 
 class Described(Protocol):
-    """What a result needs to know about its source; the properties are those of `Source`."""
+    """Properties of a source that a result needs; see `Source`."""
 
     @property
     def name(self) -> str: ...

@@ -38,7 +38,10 @@ class Table:
     lines: list[int]  # line numbers in the file
 
     def without(self, bad: Mapping[str, Mask], stream: str, findings: Findings) -> Table | None:
-        """Return the rows that no mask in `bad` marks, or None; record others as lost, for the reason in the key."""
+        """Return the rows that no mask in `bad` marks; None if no row is left.
+
+        Marked rows are recorded in `findings` as lost from `stream`, with the mask's key as the reason.
+        """
         why = {int(i): reason for reason, rows in bad.items() for i in np.flatnonzero(rows)}
         for i in sorted(why):
             findings.lose(f"{stream} rows", f"line {self.lines[i]}", why[i])
@@ -49,7 +52,10 @@ class Table:
 def rows_of(
     lines: Iterable[tuple[int, str]], columns: tuple[int, ...], group: str, findings: Findings
 ) -> list[StreamRow]:
-    """Parse (number, line) pairs into rows with a time and a number of columns in `columns`; record others as lost."""
+    """Split (line number, text) pairs into rows that have a time in ns and one of the allowed numbers of `columns`.
+
+    Other lines are recorded in `findings` as lost from `group`, except comments and empty lines.
+    """
     rows: list[StreamRow] = []
     for number, line in lines:
         text = line.strip()
@@ -88,7 +94,7 @@ def rising(times: list[int]) -> list[bool]:
 
 
 def _in_order(rows: list[StreamRow], group: str, findings: Findings) -> list[StreamRow]:
-    """Return rows sorted by time; drop repeated times, and times that go back further than late delivery explains."""
+    """Return rows sorted by time; record as lost repeated times, and times further back than late delivery explains."""
     if all(a.t_ns < b.t_ns for a, b in pairwise(rows)):
         return rows
     first = {row.t_ns: row.line for row in reversed(rows)}
@@ -108,13 +114,13 @@ def _in_order(rows: list[StreamRow], group: str, findings: Findings) -> list[Str
 
 
 def read_names(path: Path, group: str, findings: Findings) -> list[tuple[int, str]]:
-    """Read `timestamp, filename` rows as (ns, name), in order of time."""
+    """Read `timestamp, filename` rows as (ns, name), in order of time; record unusable rows as lost from `group`."""
     rows = [r for r in _read_rows(path, (2,), group, findings) if names_file(r, group, findings)]
     return [(row.t_ns, row.fields[0]) for row in _in_order(rows, group, findings)]
 
 
 def names_file(row: StreamRow, group: str, findings: Findings) -> bool:
-    """Whether a row names a file inside the folder; if not, the row is recorded as lost."""
+    """Whether a row names a file inside the folder; if not, the row is recorded in `findings` as lost from `group`."""
     name = row.fields[0]
     fits = len(name.encode(errors="replace")) <= 255 and "\0" not in name  # bytes; file systems allow no longer name
     if name and fits and ".." not in Path(name).parts and not Path(name).is_absolute():
@@ -124,7 +130,10 @@ def names_file(row: StreamRow, group: str, findings: Findings) -> bool:
 
 
 def _numbers(row: StreamRow, group: str, findings: Findings) -> list[float] | None:
-    """Return the numbers of a row, NaN for empty fields; None, recorded as lost, if a field is not a finite number."""
+    """Return the numbers of a row, NaN for empty fields; None if a field is not a finite number.
+
+    In that case the row is recorded in `findings` as lost from `group`.
+    """
     out = []
     for field in row.fields:
         try:
@@ -140,9 +149,9 @@ def _numbers(row: StreamRow, group: str, findings: Findings) -> list[float] | No
 
 
 def table_of(rows: Iterable[StreamRow], stream: str, findings: Findings, in_order: bool = True) -> Table:
-    """Convert rows to numbers; leave out rows with a field that is not a number, and pad shorter rows with NaN.
+    """Convert rows of a stream to numbers; rows with a field that is not a number are recorded as lost.
 
-    With `in_order`, the rows are sorted by time, and times that go backwards are left out.
+    Shorter rows are padded with NaN. With `in_order`, rows are sorted by time, or lost if their time goes backwards.
     """
     group, width = f"{stream} rows", COLUMNS[stream][0] - 1
     read = {row.line: (row, v) for row in rows if (v := _numbers(row, group, findings)) is not None}
@@ -155,7 +164,7 @@ def table_of(rows: Iterable[StreamRow], stream: str, findings: Findings, in_orde
 
 
 def read_table(root: Path, stream: str, findings: Findings) -> Table | None:
-    """Read all usable rows of a stream in order of time; None if the stream does not exist."""
+    """Read all usable rows of the stream in the folder `root/stream`, in order of time; None if there is no stream."""
     path = root / stream / "data.csv"
     if path.exists() and not path.is_file():
         findings.warn(f"{stream}/data.csv is no plain file and is not read; give a file")
@@ -165,7 +174,7 @@ def read_table(root: Path, stream: str, findings: Findings) -> Table | None:
 
 
 def usable_nav(table: Table | None, findings: Findings) -> Table | None:
-    """Return the usable rows of `nav0`; None if there are none."""
+    """Return the rows of `nav0` with possible values, and record the others as lost; None if no row is left."""
     if table is None:
         return None
     v = table.values
@@ -188,7 +197,7 @@ def usable_nav(table: Table | None, findings: Findings) -> Table | None:
 
 
 def usable_imu(table: Table | None, body_from_imu: Pose, findings: Findings) -> Table | None:
-    """Return the usable rows of `imu0`, rotated into the body's axes; None if there are none."""
+    """Return the usable rows of `imu0`, rotated into the body's axes; record others as lost. None: no row is left."""
     if table is None:
         return None
     with np.errstate(invalid="ignore"):
@@ -206,7 +215,7 @@ def usable_imu(table: Table | None, body_from_imu: Pose, findings: Findings) -> 
 
 
 def read_trajectory(root: Path, findings: Findings) -> Trajectory | None:
-    """Read the true body poses in the world; None if the log has none."""
+    """Read the true body poses in the world from the log in the folder `root`; None if it has none."""
     if (found := read_table(root, TRUTH, findings)) is None:
         return None
     v = found.values[:, :7]

@@ -84,7 +84,7 @@ def _open_kind(colours: Appearance, leafy: float) -> U8:
 
 
 def _with_water_and_tufts(odds: F32, water: Mask, cell: float, settings: TerrainSettings) -> F32:
-    """Raise the log odds of WATER in the mask `water`, and of TALL_VEGETATION between tufts, above the rest; in place.
+    """Raise the log odds (8, R, C) of WATER in `water` and of TALL_VEGETATION between tufts above all others, in place.
 
     Tufts below 0.1 m^2 are left to the hazard assessment. Gaps below 1 m are too narrow to land in.
     """
@@ -104,7 +104,7 @@ class _Shares(NamedTuple):
 
 
 def _shares(odds: F32, strip: int = 64) -> _Shares:
-    """Compute the probabilities of open ground, firm ground and water from log odds (8, R, C), in strips of rows."""
+    """Compute the probabilities of open ground, firm ground and water from log odds (8, R, C), by strips of rows."""
     out = _Shares(*(np.empty(odds.shape[1:], np.float32) for _ in _Shares._fields))
     for top in range(0, odds.shape[1], strip):
         rows = slice(top, top + strip)
@@ -145,7 +145,7 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     standing = (np.nan_to_num(shape.height_above) > settings.raised) | beside_tall(elevation, shape, settings)
 
     def surely(shares: list[F32]) -> F32:
-        """Return the smallest share, lowered where objects stand; so the appearance model can only refuse (T5)."""
+        """Return the smallest of `shares`, lowered where objects stand; so an appearance model can only refuse (T5)."""
         share = without_pits(np.minimum.reduce(shares), cell)
         return np.where(standing, np.minimum(share, np.float32(settings.beside_tall)), share)
 
@@ -160,7 +160,7 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
 
 
 def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32], apart: int = 3) -> Iterator[tuple[str, F32]]:
-    """Yield all features unchanged, and store every `apart`-th row and column of each in `some` for the novelty."""
+    """Yield all features (name, values) unchanged, and store every `apart`-th row and column of each in `some`."""
     for name, values in terms:
         first = [min(apart // 2, n - 1) for n in values.shape]
         some[name] = values[first[0] :: apart, first[1] :: apart].copy()  # a view would keep the whole array in memory
@@ -168,7 +168,7 @@ def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32], apart: int = 3
 
 
 def _novelty(known: KnownGround, some: Mapping[str, F32], shape: tuple[int, int]) -> F32:
-    """Compute the novelty (T6) of every cell, (R, C), from the features of a subset of the cells."""
+    """Compute the novelty (T6) of every cell of a raster of `shape` from features of a subset of its cells, `some`."""
     values = np.stack([some[name].ravel() for name in known.terms], axis=1)
     found = known.novelty(values).reshape(some[known.terms[0]].shape)
     return np.asarray(cv2.resize(found, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)

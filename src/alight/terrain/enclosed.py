@@ -64,7 +64,7 @@ class LevelSurfaces:
         return self._marked(roofs, ABOUT, lambda part: _height_over_rim(part, about, settings))
 
     def _marked(self, numbers: Iterable[int], pad: int, measure: Callable[[Mask], float]) -> F32:
-        """Return an array (R, C) with the measure of each numbered part on its cells and on a margin; 0 elsewhere.
+        """Return an array (R, C) with the measure of each part in `numbers` on its cells and on a margin; 0 elsewhere.
 
         `measure` gets the mask of a part, padded by `pad` blocks on every side.
         """
@@ -77,7 +77,10 @@ class LevelSurfaces:
 
 
 def _level_parts(bed: F32, block: float, tilt: float, settings: TerrainSettings) -> tuple[int, I64]:
-    """Return the number of connected level parts plus 1, and the index of each block's part, from 1."""
+    """Return the number of connected level parts plus 1, and the index of each block's part, from 1; 0: no part.
+
+    `bed`: (r, c) heights, metres. `block`: side of a block, metres. `tilt`: 1-sigma of the map's tilt, rad.
+    """
     known = np.isfinite(bed)
     filled = nearest_known(np.nan_to_num(bed), known)
     north, east = gradient(cv2.GaussianBlur(filled, (0, 0), 0.8) / np.float32(block))
@@ -93,7 +96,10 @@ def _rim(part: Mask, outer: int = RIM[1]) -> Mask:
 
 
 def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, settings: TerrainSettings) -> float:
-    """Return the degree, 0 to 1, to which a part is level and lower than the ground of its rim."""
+    """Return the degree, 0 to 1, to which a part (mask of blocks) is level and lower than the ground of its rim.
+
+    `bed`, `block`, `tilt`: see `_level_parts`. `ground`: heights of the ground, metres, NaN = unseen.
+    """
     rows, cols = np.nonzero(part)
     terms = np.column_stack([np.ones(len(rows)), cols * block, rows * block])
     plane = np.linalg.lstsq(terms, bed[rows, cols].astype(np.float64), rcond=None)[0]
@@ -110,7 +116,10 @@ def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, set
 
 
 def _height_over_rim(part: Mask, ground: F32, settings: TerrainSettings) -> float:
-    """Return the degree, 0 to 1, to which a part is a wall's height above its rim; 0 if half the rim is unseen."""
+    """Return the degree, 0 to 1, to which a part (mask of blocks) is a wall's height above its rim.
+
+    It is 0 if half the rim is unseen. `ground`: heights of the surface, metres, NaN = unseen.
+    """
     rim = ground[_rim(part, ABOUT)]
     seen = np.isfinite(rim)
     if seen.sum() < max(settings.water_rim_blocks, 0.5 * rim.size):

@@ -36,11 +36,15 @@ Terms = Iterator[tuple[str, F32]]  # features one by one, (R, C) each: all of th
 NEAR, WIDE = 0.4, 2.0  # metres, 1-sigma of the mean of the strength of detail
 REACH = 0.5  # metres, radius of local maxima and minima of the heights
 SPOT_REACH = 0.4  # metres, search radius of dark and bright spots
+OF_MATCHING = frozenset(  # unknown for surveyed heights
+    (SurfaceTerm.RESIDUAL, SurfaceTerm.RESIDUAL_2M, SurfaceTerm.SIGMA, SurfaceTerm.MOVING, SurfaceTerm.MOVING_2M,
+     SurfaceTerm.UNSURE, SurfaceTerm.REFUSED_2M, SurfaceTerm.TEXTURELESS, SurfaceTerm.SATURATED)
+)  # fmt: skip
 WIDTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # metres, 1-sigma: limits of the bands of log brightness
 
 
 def plants(colours: Appearance, shape: Relief, moving: F32) -> F32:
-    """Compute the score of tall plants (G16), (R, C), from texture, relief, green and the share of `moving` cells."""
+    """Compute the score of tall plants (G16), (R, C); `moving`: (R, C) share of nearby cells that move."""
     texture = linear_ramp(colours.texture, 0.055, 0.09)
     high = np.maximum(linear_ramp(shape.height_above, 0.15, 0.5), linear_ramp(shape.rough, 0.04, 0.10))
     tone = linear_ramp(colours.green, 0.06, 0.14) * np.float32(colours.coloured)
@@ -49,8 +53,10 @@ def plants(colours: Appearance, shape: Relief, moving: F32) -> F32:
 
 def land_cover_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -> Terms:
     """Yield the identifier and the values of each feature of every cell (T1)."""
-    known = seen(elevation)
+    known, matched = seen(elevation), np.isfinite(elevation.residual).any()
     for name, values in chain(_surface_terms(elevation, colours, shape), _picture_terms(elevation)):
+        if name in OF_MATCHING and not matched:
+            values = np.full_like(values, np.nan)
         yield name, values
         if name in FRAME_TERMS:
             some = values[::4, ::4][known[::4, ::4]]
@@ -90,7 +96,7 @@ def _picture_terms(elevation: ElevationMap) -> Terms:
 
 
 def _filled(light: F32, share: F32, sigma: float) -> F32:
-    """Fill unseen pixels of log brightness from their surroundings; `share`: seen share of each pixel."""
+    """Fill unseen pixels of log brightness by a Gaussian of `sigma` px; `share`: seen share of each pixel."""
     if share.min() > 0.999:
         return light
     about = np.maximum(gaussian_mean(share, sigma), np.float32(1e-3))
@@ -99,7 +105,7 @@ def _filled(light: F32, share: F32, sigma: float) -> F32:
 
 
 def _between(values: F32, narrow: float, wide: float, pixel: float) -> F32:
-    """Return the detail of `values` between two widths, `narrow` and `wide` (1-sigma), (R, C); lengths in metres."""
+    """Return the detail of values (R, C) between two 1-sigma widths; `pixel`: side of a pixel; all in metres."""
     return difference_of_gaussians(values, narrow / pixel, wide / pixel)
 
 

@@ -62,7 +62,7 @@ def _blur(values: F32, sigma: float) -> F32:
 
 
 def _resized(rgb: U8, seen: NDArray[np.bool_], factor: float) -> tuple[F32, F32]:
-    """Resize a picture by `factor` and fill its unseen pixels; return the picture and the seen share of each pixel."""
+    """Resize a picture by `factor` and fill its pixels that are not `seen`; return it and each pixel's seen share."""
     size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
     how = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     weight = cv2.resize(seen.astype(np.float32), size, interpolation=how)
@@ -103,7 +103,7 @@ def _octave(light: F32, red: F32, blue: F32, mean: _Means) -> dict[str, F32]:
 
 
 def _signals(rgb: U8, seen: NDArray[np.bool_], factor: float) -> tuple[list[F32], F32]:
-    """Return logs of brightness, red/green and blue/green of the picture resized by `factor`, and the seen share."""
+    """Return logs of brightness, red/green and blue/green of a picture, resized by `factor`, and the seen share."""
     colour, share = _resized(rgb, seen, factor)
     r, g, b = (colour[..., k] + np.float32(DARK) for k in range(3))
     light = (r + g + b) / np.float32(3)
@@ -115,7 +115,7 @@ def _signals(rgb: U8, seen: NDArray[np.bool_], factor: float) -> tuple[list[F32]
 
 
 def _octaves(signals: list[F32], level: int, mean: _Means) -> dict[str, F32]:
-    """Compute the features of all octaves, by name; overwrites `signals`."""
+    """Compute the features of all octaves, by name, from the `signals` of `_signals`, which are overwritten."""
     found: dict[str, F32] = {}
     for n in range(level, BANDS):
         coarser = [_blur(s, 2.0 ** (n + 1 - level)) for s in signals]
@@ -178,7 +178,7 @@ class Head:
     centres: F32  # (K, F) class means of standardised features
     metric: F32  # (F, F) inverse covariance within the classes
     reach: float  # median squared distance to the nearest centre
-    temperature: float  # factor by which scores are overconfident on held-out sites
+    temperature: float  # divisor of the scores, which are overconfident on held-out sites
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,12 +191,15 @@ class Model:
 
 
 def standardised(head: Head, features: F32) -> F32:
-    """Standardise and clip features (N, F)."""
+    """Return features (N, F), standardised by the head's mean and spread and clipped."""
     return np.asarray(np.clip((features - head.mean) / head.spread, -CLIP, CLIP), np.float32)
 
 
 def to_nearest(z: NDArray[Real], centres: NDArray[Any], metric: NDArray[Any]) -> NDArray[Any]:
-    """Compute the squared Mahalanobis distance of features (N, F) to the nearest centre, (N,)."""
+    """Compute the squared Mahalanobis distance of features `z` (N, F) to the nearest of `centres` (K, F), (N,).
+
+    `metric`: (F, F) inverse covariance.
+    """
     each = [np.einsum("nf,fg,ng->n", z - c, metric, z - c, optimize=True) for c in centres]
     return np.asarray(np.min(each, axis=0))
 

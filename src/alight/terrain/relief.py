@@ -27,7 +27,7 @@ class Relief:
 
 
 def ground_under(low: F32, window_cells: float) -> F32:
-    """Remove objects narrower than the window from the block heights `low`, by an opening that preserves planes."""
+    """Remove objects narrower than the window from the heights `low` (NaN: unknown) by a morphological opening."""
     reach = max(1, round(window_cells / 2))
     disc = ellipse(reach)
     eroded = cv2.erode(np.where(np.isfinite(low), low, np.float32(1e6)), disc, borderValue=1e6)
@@ -58,7 +58,7 @@ def open_to_rim(unknown: Mask) -> Mask:
 
 
 def standing_water(ground: F32, wet: Mask) -> tuple[F32, F32]:
-    """Compute depth and level of the water that the ground would hold (G13), metres; NaN where unknown.
+    """Compute depth and level of the water that heights `ground` (R, C) would hold (G13), metres; NaN where unknown.
 
     Water runs off over the map's edge and into unknown cells connected to it. An edge that looks like water (`wet`)
     holds the water back, as a pond may continue beyond the map.

@@ -101,7 +101,10 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
 
 
 def _drains(pond: Mask, wet: F32, bed: F32) -> bool:
-    """Whether connected dry ground, at least 0.5 m below the median height of a patch, covers twice its area."""
+    """Whether dry ground connected to a patch, at least 0.5 m below its median height, covers twice its area.
+
+    `pond`: mask of the patch. `wet`: likeness to water, 0 to 1. `bed`: heights, metres. All (R, C).
+    """
     level = np.median(bed[pond])
     dry = _grown(pond & (bed <= level), bed <= level) & ~pond & (wet < 0.2) & (bed < level - 0.5)
     return bool(dry.sum() > 2 * pond.sum())

@@ -19,7 +19,7 @@ def corner_response(image: U8, pixels: F32, window_px: int) -> F64:
 
 
 def oldest_per_cell(ids: I64, pixels: F32, good: Mask, cell: float, most: int) -> Mask:
-    """Return a mask (N,) of the `most` oldest good features per cell of `cell` px; `ids` must be ascending."""
+    """Return the (N,) mask of the `most` oldest features that are `good` (N,), per cell of `cell` px; ids ascend."""
     keep, at = np.zeros(len(ids), bool), np.flatnonzero(good)
     column, row = np.floor(np.nan_to_num(pixels[at]) / cell).astype(np.int64).T
     key = row * 100_000 + column

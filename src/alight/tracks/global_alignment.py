@@ -13,7 +13,7 @@ TURNS = tuple(np.radians(np.arange(0.0, 360.0, 15.0)).tolist())  # rad about the
 
 
 def warp_affine(image: U8, pixels: F32, predicted: F32) -> tuple[U8, F32]:
-    """Warp an earlier image to the predicted present view by one affine map (M1b).
+    """Warp an earlier image to the predicted present view by one affine map, from `pixels` to `predicted` (M1b).
 
     Returns:
         The image and the (N, 2) pixels of the features in it; both unchanged if there are too few features.
@@ -43,7 +43,14 @@ def match_brightness(image: U8, other: U8, settings: TracksSettings) -> U8:
 
 
 def common_shift(then: U8, now: U8, pixels: F32, predicted: F32, reach_px: int, least_overlap: float) -> F32:
-    """Return the (2,) shift, px, that corrects all `predicted` pixels (N, 2); 0 if the images overlap too little."""
+    """Return the (2,) shift, px, that corrects all predicted pixels; 0 if the images overlap too little.
+
+    Args:
+        then, now: earlier and present image.
+        pixels, predicted: (N, 2) pixels of the features in both images.
+        reach_px: largest shift in each axis.
+        least_overlap: least share of the image that must overlap.
+    """
     # one degree of tilt is 34 px, beyond the search of single features
     a, b = downsampled(then), downsampled(now)
     k = downsampling_factor(now)

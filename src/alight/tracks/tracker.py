@@ -139,9 +139,10 @@ class Tracker:
         return self._prediction_error[cam] < self._settings.close_px
 
     def _align_in_time(self, m: _Exposure, soft: U8, predicted: PredictedPixels, pose: Pose) -> tuple[F32, Mask, Mask]:
-        """Align features of the last exposure `m`: by their own patches, else by patches of the last image.
+        """Align features of the last exposure `m` in the smoothed image `soft`: by their own patches, else by new ones.
 
-        Return the (N, 2) pixels, the (N,) mask of features found, and the (N,) mask of those found by their own patch.
+        New patches are cut from the last image. `pose`: predicted world_from_cam. Return the (N, 2) pixels, the (N,)
+        mask of features found, and the (N,) mask of those found by their own patch.
         """
         start = predicted.pixels.astype(np.float64)
         pixels, anchored = self._locate_anchors(soft, m.ids, start, pose, predicted.depth)
@@ -157,7 +158,10 @@ class Tracker:
         return pixels.astype(np.float32), good, anchored & good
 
     def _refine_in_time(self, soft: U8, found: _Found, pose: Pose | None) -> F32:
-        """Return the matches refined by the features' own patches; unchanged without the predicted `pose`."""
+        """Return the (N, 2) pixels of `found`, refined by the features' own patches in the smoothed image `soft`.
+
+        `pose`: predicted world_from_cam; None: the pixels are returned unchanged.
+        """
         if pose is None:
             self._anchors = FeaturePatches.none(self._settings.window_px | 1)
             return found.pixels
@@ -171,7 +175,7 @@ class Tracker:
         return pixels.astype(np.float32)
 
     def _locate_anchors(self, soft: U8, ids: I64, pixels: F64, pose: Pose, depth: F64) -> tuple[F64, Mask]:
-        """Locate the features' own patches in the image `soft` near given pixels (N, 2); `ids` (N,) are ascending.
+        """Locate the features' own patches in the image `soft` near pixels (N, 2); `ids` (N,) are ascending.
 
         Return the (N, 2) pixels, unchanged where a feature has no patch or it does not fit, and the (N,) mask of
         patches that fit. `pose` is the predicted world_from_cam; `depth` (N,) is in metres, NaN = unknown.
@@ -186,7 +190,10 @@ class Tracker:
     def _predicted_pixels(
         self, m: _Exposure, image: U8, now_from_then: Pose, relative_covariance: F64 | None
     ) -> PredictedPixels:
-        """Predict pixels of exposure `m` in `image`; if features move far, a common error is corrected (M1c)."""
+        """Predict the pixels of the last exposure `m` in `image`; if features move far, correct a common error (M1c).
+
+        `relative_covariance`: (6, 6) of `now_from_then`, rotation first; None: unknown.
+        """
         has_depth = bool(np.isfinite(m.depth).any())
         depth = m.depth if has_depth else self._views.common_depth((m.image, image), m.pixels, m.depth, now_from_then)
         predicted = self._views.predicted(m.pixels, depth, now_from_then, 0, relative_covariance)
@@ -233,7 +240,7 @@ class Tracker:
         return found, good
 
     def _in_search_region(self, cam: int, found: F32 | F64, predicted: PredictedPixels) -> Mask:
-        """Return a mask (N,) of the pixels `found` that are inside the image and near enough to their prediction."""
+        """Return the mask of pixels `found` (N, 2) that are inside camera `cam` and near enough to `predicted`."""
         s, error = self._settings, found - predicted.pixels
         good: Mask = _inside(found, self._lenses[cam].camera) & ((error * error).sum(axis=1) < s.search_px**2)
         if predicted.covariance is not None:
@@ -273,7 +280,7 @@ class Tracker:
         return observed, left
 
     def _match_stereo(self, i: int, left: _Exposure, right: U8) -> tuple[F64, F64]:
-        """Match in camera `i` from the expected disparity; return pixels (N, 2) and depths (N,), NaN = no match."""
+        """Match features of `left` in image `right`, camera `i`; return pixels (N, 2), depths (N,), NaN = no match."""
         pose, focal = self._cam_from_first[i], self._lenses[i].camera.fu
         pixels, depth = left.pixels, left.depth
         predicted, soft_right = self._views.predicted(pixels, depth, pose, i), smooth_image(right)
@@ -302,7 +309,10 @@ class Tracker:
     def _refine_by_patches(
         self, i: int, left: _Exposure, right: U8, found: F64, good: Mask, reach: F64 | None = None
     ) -> F64:
-        """Refine the matches `found` (N, 2) in camera `i` by patches; `good` becomes False where one does not fit."""
+        """Refine the matches `found` (N, 2) in camera `i`, whose smoothed image is `right`, by patches.
+
+        `good` (N,) becomes False where a patch does not fit. `reach`: see `FeaturePatches.locate`.
+        """
         patched = left.patches.select(good[left.patches.ids])
         to_first, at = self._cam_from_first[i].inverse, patched.ids
         up = np.array([0.0, 0.0, -1.0]) if left.pose is None else (left.pose @ to_first).rotation[2]

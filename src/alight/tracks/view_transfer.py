@@ -142,7 +142,7 @@ class ViewTransfer:
         return PredictedPixels(predicted, there, covariance)
 
     def common_depth(self, images: tuple[U8, U8], pixels: F32, depth: F64, now_from_then: Pose) -> F64:
-        """Return the depth common to all features, as (N,), m, at which both images correlate best (M1c)."""
+        """Return the (N,) equal depths, m, at which the earlier and the present image correlate best (M1c)."""
         # for photos by a single camera, without known depths: their features move farther than a search reaches
         baseline, camera = float(np.linalg.norm(now_from_then.translation)), self._lenses[0].camera
         if baseline < 1e-5:  # m: no depth shifts a feature
@@ -157,7 +157,11 @@ class ViewTransfer:
         return np.full(len(pixels), baseline / shifts[int(np.argmax(scores))])
 
     def updated_depths(self, before: F32, pixels: F32, depth: F64, now_from_then: Pose) -> F64:
-        """Return (N,) present depths, m: by parallax from `before` to `pixels` where it suffices, else by `depth`."""
+        """Return the (N,) depths in the present view, m, NaN = unknown.
+
+        They follow from the parallax between the earlier pixels `before` and the present `pixels`, (N, 2), where it
+        suffices, else from the earlier `depth` (N,).
+        """
         focal = self._lenses[0].camera.fu
         then, now = (self._lenses[0].normalise(p.astype(np.float64)) for p in (before, pixels))
         w, arm = inverse_depth(then, now, now_from_then)

@@ -57,7 +57,10 @@ def another_camera(rgb: U8, rng: np.random.Generator) -> U8:
 
 
 def _read_off(patch: LabelledPatch, rgb: U8, level: int) -> F32:
-    """Measure the features at 3 x 3 positions of a patch, (P, F); empty if it is too coarse for the level."""
+    """Measure the features of a level at 3 x 3 positions of a patch, (P, F); empty if the patch is too coarse.
+
+    `rgb`: the patch's picture, or an altered copy of it.
+    """
     pixel = PIXEL * 2**level
     if patch.sampling > STRETCH * pixel:
         return np.empty((0, len(names(level))), np.float32)
@@ -72,7 +75,10 @@ def _read_off(patch: LabelledPatch, rgb: U8, level: int) -> F32:
 def measure_patches(
     patches: list[LabelledPatch], level: int, report: Report = quiet, variants: int = 3, seed: int = 0
 ) -> Samples:
-    """Measure the features of all patches and variants at one level, with detail relative to the site's median."""
+    """Measure the features of all patches, and of `variants` altered copies of each, at one level.
+
+    Detail is relative to its median over the site. `report`: gets the progress, 0 to 1.
+    """
     rng = np.random.default_rng(seed)
     parts, which, variant = [], [], []
     for i, patch in enumerate(patches):
@@ -87,7 +93,7 @@ def measure_patches(
 
 
 def _against_sites(samples: Samples, sites: NDArray[np.str_], level: int) -> Samples:
-    """Return the samples with detail relative to the median of each site, which is treated as its frame."""
+    """Return the samples with detail relative to its median over each site; `sites`: site of each patch."""
     out = samples.values.copy()
     for site in np.unique(sites):
         for v in np.unique(samples.variant):

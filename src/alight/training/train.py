@@ -33,12 +33,12 @@ UNTESTED = 3.0  # temperature of a model from one site, as its accuracy on other
 
 
 def share_of_levels(report: Report, level: int) -> Report:
-    """Return a callback that converts the progress within one level into the progress over all levels."""
+    """Return a callback that converts the progress within one level to progress over all levels, given to `report`."""
     return lambda share: report((level + share) / LEVELS)
 
 
 def balance(kinds: NDArray[np.uint8], sites: NDArray[np.str_]) -> F64:
-    """Return sample weights by which each class at each site weighs the square root of its number of samples."""
+    """Return (N,) sample weights by which each class at each site weighs the square root of its sample count."""
     key = np.char.add(sites, kinds.astype(str))
     _, at, count = np.unique(key, return_inverse=True, return_counts=True)
     weight = 1 / np.sqrt(count[at])
@@ -96,7 +96,10 @@ def _fit_without(s: Samples, kinds: U8, sites: NDArray[np.str_], classes: U8, ou
 
 
 def _temperature(scored: F32, at: I64) -> float:
-    """Fit the divisor that calibrates held-out scores; rows whose true class was missing in training are ignored."""
+    """Fit the divisor that calibrates held-out scores (N, K); `at`: (N,) index of the true class.
+
+    Rows whose true class was missing in training are ignored.
+    """
     fair = np.isfinite(scored[np.arange(len(at)), at])
     values, truth = np.where(np.isfinite(scored), scored, -1e9)[fair], at[fair]
     if not len(truth):
@@ -109,9 +112,9 @@ def _temperature(scored: F32, at: I64) -> float:
 
 
 def patch_means(log_p: F32, patch: I64, count: int) -> F64:
-    """Average log probabilities over the positions of each patch and normalise, (count, K); NaN without positions.
+    """Average log probabilities (N, K) over the rows of each patch, `patch` (N,), and normalise; NaN without rows.
 
-    A log probability is at least -7, so that no single position decides.
+    The result is (count, K). A log probability is at least -7, so that no single position decides.
     """
     n = np.bincount(patch, minlength=count)[:, None]
     floor = np.maximum(log_p, np.float32(-7.0))

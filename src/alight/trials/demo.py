@@ -30,7 +30,7 @@ class DemoLanding:
 
     result: RunResult
     state: FlightState
-    seconds: float
+    seconds: float  # length of the landing
     touchdown: Touchdown | None  # by the simulator's truth; None: it did not land
 
     @property
@@ -49,7 +49,10 @@ class DemoLanding:
 def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, progress: StageProgress) -> DemoLanding:
     """Land on simulated ground: search, look from lower and lower, and land or give up.
 
-    The folder `out` is only prepared; the caller writes the results into it.
+    Args:
+        out: folder of the results; it is only prepared, and the caller writes into it.
+        seed: seed of the ground and the flight.
+        overwrite: whether the folder may hold other files.
 
     Raises:
         AlightError: the folder cannot be written.

@@ -43,9 +43,9 @@ class Landing:
 
     state: FlightState = FlightState.SEARCH
     diary: FlightDiary = field(default_factory=FlightDiary)
-    seconds: float = 0.0
-    p_at_commit: float | None = None
-    verdicts: int = 0
+    seconds: float = 0.0  # since the landing began
+    p_at_commit: float | None = None  # P(safe) when the commit began; None: no commit
+    verdicts: int = 0  # number of verdicts
     decision: Decision | None = None  # decision on the whole flight, if requested
     timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
     cpu_of: Mapping[str, float] = field(default_factory=dict)  # s of CPU: simulator, navigation, mapping, judging, link

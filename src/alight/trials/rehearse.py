@@ -33,7 +33,7 @@ class _TrackReader:
         self._cameras.restart()
 
     def feed(self, name: str, message: Any, clock: VehicleClock) -> Sequence[NavSample | ImuSample]:
-        """Add the attitude or the position of a message to the track; return no samples."""
+        """Add the attitude or position in a message to the track; return no samples. See `TelemetryReader.feed`."""
         if clock.known and name == "ATTITUDE_QUATERNION":
             R = border.world_from_body_of_quaternion([message.q1, message.q2, message.q3, message.q4])
             if R is not None:

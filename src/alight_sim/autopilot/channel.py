@@ -26,7 +26,7 @@ class LossyChannel:
         self._rng = np.random.default_rng(self.seed)
 
     def put(self, data: bytes, t: float) -> None:
-        """Send a datagram at time `t`."""
+        """Send a datagram at time `t`, s."""
         for _ in range(1 + int(self._rng.random() < self.double)):
             if self._rng.random() < self.loss:
                 continue
@@ -35,7 +35,7 @@ class LossyChannel:
             heapq.heappush(self._queue, (due, self._count, self._spoiled(data)))
 
     def get(self, t: float) -> list[bytes]:
-        """Remove and return the datagrams that have arrived by time `t`, in order of arrival."""
+        """Remove and return the datagrams that have arrived by time `t` (s), in order of arrival."""
         out = []
         while self._queue and self._queue[0][0] <= t:
             out.append(heapq.heappop(self._queue)[2])

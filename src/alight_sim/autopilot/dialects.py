@@ -46,7 +46,7 @@ class Dialect:
         return main << self.mode_shift | sub << 24
 
     def doing(self, parameters: tuple[float, ...]) -> Doing | None:
-        """Return the mode that MAV_CMD_DO_SET_MODE requests by its parameters; None: there is no such mode."""
+        """Return the mode that MAV_CMD_DO_SET_MODE requests by its seven parameters; None: there is no such mode."""
         return {pair: doing for doing, pair in self.modes.items()}.get((round(parameters[1]), round(parameters[2])))
 
 

@@ -45,7 +45,7 @@ class EstimateError:
 
     @property
     def now(self) -> NavigationError:
-        """The present errors."""
+        """Present errors; only the position has any."""
         return NavigationError(self.error, np.eye(3), np.eye(3), np.zeros(3), np.array([0.8, 0.8, 1.2]), 0.0)
 
     def step(self, dt: float) -> None:

@@ -79,7 +79,7 @@ class FlightLogic:
         return True
 
     def take_off(self, height: float) -> bool:
-        """Climb to a height above the home, metres; return false if the command is refused."""
+        """Start a climb to `height` metres above the home; return false if the command is refused."""
         if not self.armed or (self.doing is not Doing.GUIDED and not self.dialect.needs_setpoints):
             return False
         if self.interlock is False or not self._stands:
@@ -91,7 +91,7 @@ class FlightLogic:
         return True
 
     def guide(self, wanted: Wanted, t: float) -> None:
-        """Store a set-point of guided flight, received at time `t` (s)."""
+        """Handle a set-point received at time `t` (s): it is flown to if the mode is guided."""
         if t - self._set_at > _STREAM:
             self._set_since = t
         self._set_at = t
@@ -100,7 +100,7 @@ class FlightLogic:
             self._wanted = wanted
 
     def _control(self, kind: str) -> None:
-        """Select a kind of controller for guided flight; a change of the kind resets the commanded speed limits."""
+        """Select the controller for guided flight by a name (`kind`); a change resets the commanded speed limits."""
         if kind != self._controller:
             self._controller = kind
             self._speed = self._sink = math.inf
@@ -127,7 +127,10 @@ class FlightLogic:
         self._target = (t, target)
 
     def step(self, t: float, here: F64, stands: bool) -> Wanted | None:
-        """Return the set-point at `t` (s) and `here` (3,); None: motors off. `stands`: whether it is on the ground."""
+        """Return the set-point at time `t` (s); None: motors off.
+
+        `here`: (3,) metres, estimated position. `stands`: whether the vehicle is on the ground.
+        """
         self._here, self._stands = here, stands
         self._disarm_on_ground(t)
         if not self.armed or not self._runs(t):
@@ -139,7 +142,7 @@ class FlightLogic:
         return Wanted(wanted.position, wanted.velocity, heading, self._speed, self._sink)
 
     def _runs(self, t: float) -> bool:
-        """Whether the motors lift: ArduPilot needs the take-off command, a helicopter its rotor at full speed."""
+        """Whether the motors lift at `t` (s): ArduPilot needs a take-off command, a helicopter a rotor at speed."""
         waits = self._stands and self.doing is Doing.GUIDED and self._controller != "take-off"
         if waits and not self.dialect.needs_setpoints:
             return False
@@ -190,7 +193,7 @@ class FlightLogic:
         return self._wanted
 
     def _landing(self, place: F64, t: float) -> Wanted:
-        """Return the set-point of a landing at `place`, or at a reported target: fly over it, then descend."""
+        """Return the set-point of a landing at `place` (3,), or at a reported target: fly over it, then descend."""
         seen = self._target is not None and t - self._target[0] < _TARGET_AGE
         seen &= t - self._target_since >= self.dialect.target_delay
         self._target_seen |= seen

@@ -38,7 +38,7 @@ class Reports:
         self.makers: dict[str, Maker] = dict(MAKERS)
 
     def request(self, message: int, interval_us: float) -> bool:
-        """Handle SET_MESSAGE_INTERVAL (message number, microseconds); return false if the message is not supported."""
+        """Send a message, by number, every `interval_us` microseconds; return false if the message is not supported."""
         kind = mavlink.mavlink_map.get(message)
         name = "" if kind is None else str(kind.msgname)
         if name not in self.makers or name in self.lacks:
@@ -48,7 +48,7 @@ class Reports:
         return True
 
     def step(self, t: float, now: SimulatedAutopilot) -> None:
-        """Send the messages of the autopilot `now` that are due at time `t`, seconds."""
+        """Send the messages that are due at time `t` (s since boot), with the present state `now` of the autopilot."""
         mode = now.dialect.number(now.logic.doing)
         if t >= self._heartbeat or (now.dialect.reports_changes and mode != self._mode):
             self._heartbeat, self._mode = t + 1.0, mode

@@ -43,7 +43,7 @@ class SimulatedHome:
     latitude: float = 47.6
     longitude: float = 13.4
     altitude_msl: float = 500.0
-    separation: float = 46.0  # metres, ellipsoid above sea level
+    separation: float = 46.0  # metres, ellipsoidal height minus altitude above sea level
 
     def degrees(self, enu: F64) -> tuple[float, float, float]:
         """Convert (3,) metres from the home to latitude, longitude (degrees) and altitude above sea level (m)."""
@@ -137,7 +137,7 @@ class SimulatedAutopilot:
 
     @property
     def velocity(self) -> F64:
-        """Estimated velocity, (3,) m/s."""
+        """Estimated velocity, (3,) m/s east, north, up."""
         return self.vehicle.body.velocity + self.estimate.now.velocity
 
     @property
@@ -147,18 +147,18 @@ class SimulatedAutopilot:
         return np.asarray(errors.heading @ self.vehicle.body.world_from_body.rotation @ errors.attitude)
 
     def hover(self, doing: Doing = Doing.HOLD) -> None:
-        """Put the vehicle in the air at its position, armed and in a mode, as after a take-off."""
+        """Set the state after a take-off to the present position: armed, in flight, in mode `doing`."""
         self.logic.armed, self.boot = True, _START_UP + 1.0
         self.logic.step(self.boot, self.estimated, False)
         self.logic.doing = Doing.TAKE_OFF
         self.logic.enter(doing, self.boot)
 
     def refuse_modes(self, seconds: float) -> None:
-        """Refuse all commands that change the mode for some time."""
+        """Refuse all commands that change the mode for the next `seconds`."""
         self._refuses_until = self.boot + seconds
 
     def pilot(self, doing: Doing = Doing.PILOT) -> None:
-        """Change the mode in the pilot's name, not by a command over the link."""
+        """Change the mode to `doing` as a pilot does, not by a command over the link."""
         self.logic.enter(doing, self.boot)
 
     def pending(self) -> list[bytes]:
@@ -179,7 +179,7 @@ class SimulatedAutopilot:
         return events
 
     def send(self, message: Any) -> None:
-        """Queue a message to send."""
+        """Encode a MAVLink message and add it to the pending datagrams."""
         self._out.append(bytes(message.pack(self._mavlink)))
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
 
@@ -215,7 +215,7 @@ class SimulatedAutopilot:
         self.logic.guide(wanted, self.boot)
 
     def _on_landing_target(self, m: Any) -> None:
-        """Handle a landing target in body axes; ignore it if its angles contradict its position."""
+        """Handle a LANDING_TARGET message `m` in body axes; ignore it if its angles contradict its position."""
         angles = np.tan([m.angle_x, m.angle_y]) * m.z - [m.y, -m.x]
         if np.abs(angles).max() <= 0.05 * max(m.distance, 1.0):
             self.logic.aim_landing(self.estimated + self.attitude @ np.array([m.x, -m.y, -m.z]), self.boot)

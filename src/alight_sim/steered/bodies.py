@@ -60,7 +60,7 @@ class Body:
         return nodes, np.array([self.height_at(float(e), float(n)) for e, n in way])
 
     def boxes_at(self, times: F64) -> F64:
-        """Return the body's two boxes (T, 2, 12) as in `kernels.boxes`; their size is 0 before `since`."""
+        """Return the body's boxes at times (s), (T, 2, 12), as in `kernels.boxes`; their size is 0 before `since`."""
         places = self.place_at(times)[:, None]
         heading = self.heading if self.away == 0 else math.atan2(*np.subtract(self.goal, self.start)[::-1])
         turns = np.full((len(times), 1), heading)

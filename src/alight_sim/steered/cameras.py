@@ -62,7 +62,10 @@ class SteeredCameras:
         return self._seconds(self.next) + 0.5 * (self.imaging.exposure_time + rows * self.imaging.line_time)
 
     def expose(self, body: Poses) -> tuple[int, Frame] | None:
-        """Draw the next exposure at the body's true poses; return arrival (ns) and frame; None: all are lost."""
+        """Draw the next exposure; return its arrival (ns) and frame, or None if all its pictures are lost.
+
+        `body`: returns the true poses `world_from_body` at times (s).
+        """
         k, plan = self.next, self._planned(self.next)
         self.next += 1
         seconds = self._seconds(k)
@@ -86,7 +89,7 @@ class SteeredCameras:
         return self._last[cam]
 
     def _light(self, cam: int, seconds: float, body: Poses) -> F32:
-        """Return the (H, W, 3) linear light of one camera.
+        """Return the (H, W, 3) linear light of camera `cam` for an exposure at a time (s); `body`: see `expose`.
 
         Raises:
             InputError: the world returns an array of another shape.
@@ -105,7 +108,7 @@ class SteeredCameras:
         return light
 
     def _gain(self, k: int, cam: int, seconds: float, light: F32) -> F64:
-        """Return the (3,) gains of exposure `k` of a camera, and update its exposure control by the light (H, W, 3)."""
+        """Return the (3,) gains of exposure `k`, camera `cam`, and update its exposure control by `light` (H, W, 3)."""
         base: F64 = self._gains[cam][k]
         if not self.imaging.auto:
             return base
@@ -118,7 +121,7 @@ class SteeredCameras:
         return float(self._planned(k).true_ns[k] - START_NS) * 1e-9
 
     def _planned(self, k: int) -> Exposures:
-        """Return the plan of the exposures; if index `k` lies beyond its end, the plan is made twice as long."""
+        """Return the plan of all exposures; a plan without index `k` is made twice as long first."""
         if self._plan is None or k >= len(self._plan.true_ns):
             count = 256 if self._plan is None else 2 * len(self._plan.true_ns)
             beat_ns = START_NS + np.round(np.arange(count) * 1e9 / self.rate_hz).astype(np.int64)

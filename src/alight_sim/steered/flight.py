@@ -53,7 +53,10 @@ class MovingAir:
     leant: F64 = field(default_factory=lambda: np.zeros(3))  # m/s^2, learned part of the pushes
 
     def push(self, now: float, h: float, drag: float) -> F64:
-        """Return the acceleration (3,) by wind (`drag`, 1/s) and gusts over `h` s from `now`, less the learned part."""
+        """Return the acceleration by wind and gusts less the learned part, (3,) m/s^2; learn for `h` s from `now`.
+
+        `drag`: 1/s, deceleration per m/s of air speed.
+        """
         share = 1.0 - math.exp(-h / _TRIM)
         self.learned = self.learned + share * (self.velocity - self.learned)
         gusts: F64 = sum((a for start, end, a in self.pushes if start <= now < end), np.zeros(3))
@@ -278,13 +281,16 @@ class SteeredFlight:
 
     def park(self, east: float, north: float, *, start: tuple[float, float] | None = None, speed: float = 5.0,
              heading: float = 0.0) -> Body:  # fmt: skip
-        """Let a car drive from `start` and park; without `start` it is there at once, at `heading`, rad from east."""
+        """Let a car drive from `start` to a position and park; return the car.
+
+        If `start` is None, the car is at its position at once, with `heading`, rad from east to north.
+        """
         return self._come(True, east, north, start, speed, heading)
 
     def walk_in(
         self, east: float, north: float, *, start: tuple[float, float] | None = None, speed: float = 1.4
     ) -> Body:
-        """Let a person walk to a position and stay, from `start` (None: 10 m south of it); return the person."""
+        """Let a person walk from `start` (None: 10 m south) to a position and stay there; return the person."""
         return self._come(False, east, north, start or (east, north - 10.0), speed, 0.0)
 
     def _come(
@@ -300,7 +306,7 @@ class SteeredFlight:
         self.air.pushes.append((self.seconds, self.seconds + seconds, np.array(acceleration, float)))
 
     def wind(self, east: float, north: float, up: float = 0.0) -> None:
-        """Set the velocity of the air, m/s."""
+        """Set the velocity of the air, m/s, from now on."""
         self.air.velocity = self._vehicle.wind_world = np.array([east, north, up], float)
 
     def freeze_camera(self, seconds: float, camera: int | None = None) -> None:
@@ -329,7 +335,7 @@ class SteeredFlight:
         )
 
     def jump_gps(self, offset: Sequence[float], seconds: float | None = None) -> None:
-        """Shift all positions by (3,) metres, with unchanged reported sigmas, for `seconds` (None: permanently)."""
+        """Shift all GPS positions by (3,) metres, with unchanged sigmas, for the next `seconds` (None: permanently)."""
         east, north, up = (float(v) for v in offset)
         jump = Jump(at=self.seconds, seconds=seconds, offset=(east, north, up))
         self._change_nav(jumps=(*self.sensors.nav.errors.jumps, jump))
@@ -342,7 +348,7 @@ class SteeredFlight:
         self.sensors.imu_lost.append((self.seconds, self.seconds + seconds))
 
     def drain(self, share: float) -> None:
-        """Remove a share of the remaining charge."""
+        """Remove a share (0 to 1) of the battery's remaining charge."""
         self.battery *= 1.0 - share
 
 
@@ -359,7 +365,7 @@ class FlownEstimate:
 
 
 def sized_rig(rig: Rig, size: tuple[int, int], stereo: bool) -> Rig:
-    """Return a rig with pictures of another size (width, height), with all its cameras or only the first."""
+    """Return a rig scaled to pictures of `size` (width, height); `stereo`: keep all cameras, not only the first."""
     cams = []
     for cam in rig.cameras if stereo else rig.cameras[:1]:
         lens = cam.camera.scaled(size[0] / cam.camera.width)

@@ -22,7 +22,7 @@ _NEAR = 8.0  # metres within which bodies are considered
 
 
 def tops(boxes: F64, east: float, north: float, within: float = 0.0) -> float:
-    """Return the height of the highest of boxes (M, 12) within `within` metres of a position; -inf: there is none."""
+    """Return the height of the highest of boxes (M, 12) within `within` metres of a position; -inf: no box is."""
     dx, dy = east - boxes[:, 0], north - boxes[:, 1]
     along = np.maximum(np.abs(boxes[:, 3] * dx + boxes[:, 4] * dy) - boxes[:, 5], 0.0)
     across = np.maximum(np.abs(boxes[:, 3] * dy - boxes[:, 4] * dx) - boxes[:, 6], 0.0)
@@ -74,7 +74,7 @@ class GroundBelow:
         return max(ground, below, self._top(east, north, radius))
 
     def highest_span(self, east: float, north: float, low: float, high: float) -> float:
-        """Height of the highest span within the radius about a place and between two heights; -inf: there is none."""
+        """Return the highest height of spans between `low` and `high` within the radius of a position; -inf: none."""
         self._hold(east, north)
         return self._spans.highest(east, north, self.radius, low, high) if len(self._spans) else -math.inf
 
@@ -144,13 +144,13 @@ class ContactWatch:
 
     @property
     def _span_gap(self) -> float:
-        """As `gap`, for spans that touch the vehicle, as high as twice its origin; inf: none does."""
+        """Height of the feet above the highest span that touches the vehicle, metres; inf: no span touches it."""
         east, north, up = (float(c) for c in self._vehicle.position)
         feet = up - self._standing
         return feet - self.below.highest_span(east, north, feet, up + self._standing)
 
     def observe(self, t_ns: int, velocity_before: F64) -> None:
-        """Record a contact in the step that ends at `t_ns`; `velocity_before` is (3,) m/s just before it."""
+        """Record a contact if the step that ends at `t_ns` has one; `velocity_before`: (3,) m/s before the step."""
         stood, self._stood = self._stood, self._vehicle.stands  # last step; a body may drive in under it
         if self._stood and not stood:
             self._add(t_ns, velocity_before)

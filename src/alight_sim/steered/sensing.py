@@ -25,7 +25,10 @@ class TrueTrack:
         self._pieces: list[tuple[TrueMotion, F64, float]] = []  # motion at the start; (3,) position at the end; s
 
     def add(self, start: float, seconds: float, before: TrueMotion, place: F64, turned: F64) -> TrueMotion:
-        """Append a step from `before` to a pose of position (3,), rotation (3, 3); return its motion with rates."""
+        """Append a step of `seconds` from time `start`; return its initial motion with the mean rates of the step.
+
+        `before`: initial motion, rates unused. `place`, `turned`: final position (3,) and rotation (3, 3).
+        """
         rate = np.asarray(so3_log(before.world_from_body.T @ turned)) / seconds
         motion = TrueMotion(before.position_world, before.velocity_world, before.world_from_body, rate)
         self._times.append(start)

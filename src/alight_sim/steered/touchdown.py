@@ -17,7 +17,7 @@ def contact_seconds(contact: TrueContact) -> float:
 
 
 def judge_contact(flight: SteeredFlight, contact: TrueContact, lander: OracleLander) -> Touchdown:
-    """Judge a contact, with the bodies at their positions at that time; a strike in flight is unsafe."""
+    """Judge a contact; cars and persons are placed where they were at that time. A collision in flight is unsafe."""
     found = judge_touchdown(
         flight.world, lander, contact.pose, contact.velocity_world, contact_seconds(contact), flight.bodies
     )
@@ -25,7 +25,7 @@ def judge_contact(flight: SteeredFlight, contact: TrueContact, lander: OracleLan
 
 
 def severity(safe: bool, reasons: tuple[str, ...]) -> tuple[bool, bool, int]:
-    """Return a sort key of a contact's severity: unsafe or not, a strike or not, number of broken limits."""
+    """Return a sort key that grows with severity: unsafe or not, a collision or not, number of `reasons`."""
     return not safe, STRIKE in reasons, len(reasons)
 
 

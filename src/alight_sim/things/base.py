@@ -84,7 +84,7 @@ class Sheet:
 
     @classmethod
     def blank(cls, x: F64, y: F64, label: Terrain, cell: float = 0.0) -> Sheet:
-        """Return flat ground of one class at height 0."""
+        """Return flat ground of class `label` at height 0, at positions `x`, `y` (R, C); `cell`: see the field."""
         zero = np.zeros(x.shape)
         labels = np.full(x.shape, label, np.uint8)
         looks, tint = np.zeros(x.shape, np.uint8), np.ones((*x.shape, 3), np.float32)
@@ -112,7 +112,7 @@ class Sheet:
     def paint(
         self, index: Any, mask: Mask, kind: Terrain | None, look: Look = Look.BY_CLASS, tint: Sequence[float] = UNTINTED
     ) -> None:
-        """Set class, look and tint at the masked positions of an index; with None as `kind` the class is kept."""
+        """Set class `kind` (None: kept), look and tint at the positions of an index of `near` where `mask` is true."""
         for layer, value in ((self.label, kind), (self.look, look), (self.tint, tint)):
             if value is None:
                 continue
@@ -127,7 +127,7 @@ def _run(found: NDArray[np.intp]) -> slice:
 
 
 def ramp(low: float, high: float, x: F64) -> F64:
-    """Return a smooth step from 0 at `low` to 1 at `high`."""
+    """Return a smooth step of `x`: 0 up to `low`, 1 from `high` on."""
     t = np.clip((x - low) / (high - low), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
@@ -136,16 +136,16 @@ class Layer(Section):
     """One kind of thing. All layers first shape the solid ground, then add cover, standing and hanging things."""
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Change the solid ground."""
+        """Change the solid ground of a sheet in place."""
 
     def cover(self, sheet: Sheet, lay: Lay) -> None:
-        """Raise the surface above the solid ground."""
+        """Raise the surface of a sheet above the solid ground, in place."""
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Stamp standing things."""
+        """Stamp standing things on a sheet in place."""
 
     def hang(self, box: Box, lay: Lay) -> TrueSpans:
-        """Spans in the air: at least those that come into a box."""
+        """Return the layer's spans in the air: at least all spans that come into a box."""
         return TrueSpans()
 
     @property
@@ -188,7 +188,7 @@ class Scattered(Layer):
         raise NotImplementedError
 
     def kept(self, things: F64, seed: int) -> Mask:
-        """Return the (N,) mask of the drawn random things to keep, by which a layer varies their density."""
+        """Return the (N,) mask of drawn random things (N, COLUMNS) to keep, by which a layer varies their density."""
         return np.ones(len(things), bool)
 
     def parts(self, rng: np.random.Generator, things: F64) -> F64:
@@ -212,7 +212,7 @@ def overlapping(things: F64, box: Box) -> F64:
 
 
 def power_law(rng: np.random.Generator, between: Between, exponent: float, count: int) -> F64:
-    """Return (count,) sizes by a power law: the number above a size is proportional to size to the power -exponent."""
+    """Draw (count,) sizes within limits by a power law: the number above a size is proportional to size**-exponent."""
     low, high = between
     u = rng.random(count)
     if low == high:
@@ -224,7 +224,7 @@ def power_law(rng: np.random.Generator, between: Between, exponent: float, count
 
 
 def covered(inside: F64, cell: float) -> F64:
-    """Return the share of a cell inside an edge; `inside`: metres from the edge to its centre, negative outside."""
+    """Return the share of a cell inside an edge; `inside`: metres of its centre from the edge, negative outside."""
     return np.clip(inside / max(cell, 1e-6) + 0.5, 0.0, 1.0)
 
 

@@ -43,7 +43,7 @@ LITTER: tuple[Tint, ...] = ((0.8, 0.6, 0.35), (1.0, 1.0, 1.0), (0.08, 0.2, 0.55)
 
 
 def stamp(sheet: Sheet, things: F64, kind: int, label: Terrain = Terrain.STRUCTURE) -> None:
-    """Stamp boxes of a shape (`kernels.stamps`) and a class on the sheet."""
+    """Stamp boxes (N, COLUMNS) of shape `kind` (`kernels.stamps`) and class `label` on the sheet."""
     if len(things):
         stamps.stamp_boxes(
             sheet.x[0], sheet.y[:, 0], sheet.cell, things, kind, label,
@@ -69,13 +69,13 @@ class Boxes(Scattered):
         return turns if self.turn_deg is None else np.full(count, math.radians(self.turn_deg))
 
     def paint(self, rng: Generator, things: F64, look: Look, otherwise: tuple[Tint, ...]) -> None:
-        """Set the look of the things, and draw a tint for each, from the user's tints or else from `otherwise`."""
+        """Set the look of things (N, COLUMNS), and draw each tint from the user's tints, or else from `otherwise`."""
         palette = np.array(self.tints or otherwise)
         things[:, RED : BLUE + 1] = palette[rng.integers(len(palette), size=len(things))]
         things[:, LOOK] = look
 
     def boxes(self, sheet: Sheet, lay: Lay, kind: int) -> None:
-        """Stamp all boxes that reach the sheet."""
+        """Stamp all boxes of the layer that reach the sheet; `kind`: shape (`kernels.stamps`)."""
         stamp(sheet, lay.things(sheet.box), kind)
 
 
@@ -212,7 +212,7 @@ class Parking(Layer):
         stamp(sheet, things, stamps.CAR)
 
     def _grounds(self, lay: Lay) -> F64:
-        """Return the (N, 3) east, north and level of each ground, metres."""
+        """Return the (N, 3) east, north and height of the middle of each parking ground, metres."""
         places = np.array(self.at)
         return np.column_stack([places, lay.before(places[:, :1], places[:, 1:]).ground])
 
@@ -221,7 +221,7 @@ class Parking(Layer):
         return 2.0 * self.bay[1] + self.lane
 
     def _marks(self, u: F64, v: F64) -> Mask:
-        """Return the mask of lines between the bays, 10 cm wide, at (u, v) metres along and across the rows."""
+        """Return the mask of positions on the 10 cm lines between bays; `u`, `v`: metres along and across the rows."""
         width, length = self.bay
         count = math.floor(self.size[0] / width)
         across = np.abs(v / self._pitch - np.floor(v / self._pitch) - 0.5) * self._pitch

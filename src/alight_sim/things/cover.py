@@ -48,7 +48,7 @@ class Outline(Layer):
         return noise(sheet.x, sheet.y, lay.seed, self.size, min(0.2, self.size), 0.8)
 
     def excess(self, sheet: Sheet, lay: Lay) -> F64:
-        """Return the (R, C) noise minus the threshold that a `share` of it exceeds; negative: not covered."""
+        """Return `field` minus the threshold that a `share` of it exceeds, (R, C); negative: not covered."""
         excess = self.field(sheet, lay) - NormalDist().inv_cdf(min(max(1.0 - self.share, 1e-6), 1.0 - 1e-6))
         open_ground = np.isin(sheet.label, [terrain_named(k) for k in self.upon])
         if self.within is not None:
@@ -69,11 +69,11 @@ class Patches(Outline):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Depth or height of the patches."""
+        """Depth and height of the patches; one of them is 0. Metres."""
         return max(-self.up, 0.0), max(self.up, 0.0)
 
     def field(self, sheet: Sheet, lay: Lay) -> F64:
-        """(R, C) noise of unit deviation; of veins it is largest where the noise of patches crosses zero."""
+        """Return (R, C) noise of unit deviation; for veins, it is largest where the noise for patches is near zero."""
         field = noise(sheet.x, sheet.y, lay.seed, self.size, min(self.finest, self.size), 0.8)
         return np.asarray(ndtri(2.0 * ndtr(-np.abs(field))) if self.veins else field)
 

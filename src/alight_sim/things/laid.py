@@ -42,17 +42,17 @@ class Bars(Boxes):
 
     @property
     def largest(self) -> float:
-        """Half the diagonal of the largest bundle, with a margin."""
+        """Half the diagonal of the largest bundle with a margin, metres."""
         long = 0.0 if self.upright else self.length[1]
         return 0.6 * math.hypot(long, math.ceil(self.count[1]) * (self.gap or self.thickness[1]))
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the tallest stack, or of bars on end."""
+        """No lowering, and the height of the tallest stack or of bars on end, metres."""
         return 0.0, self.length[1] if self.upright else self.rows * self.thickness[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a length, a thickness, a number, a turn."""
+        """Draw the length, thickness and number of bars, the turn and the tint of each bundle."""
         n = len(things)
         length, thick = rng.uniform(*self.length, n), rng.uniform(*self.thickness, n)
         things[:, HALF_U] = 0.5 * (thick if self.upright else length)
@@ -62,7 +62,7 @@ class Bars(Boxes):
         self.paint(rng, things, Look.PAINT, STEEL)
 
     def parts(self, rng: Generator, things: F64) -> F64:
-        """The bars of each bundle."""
+        """Return the bars (M, COLUMNS) of all bundles."""
         found = [np.empty((0, things.shape[1]))]
         for row in range(self.rows):
             count = np.maximum(things[:, EXTRA] - row, 0.0).astype(np.int64)
@@ -101,16 +101,16 @@ class Tarpaulins(Boxes):
 
     @property
     def largest(self) -> float:
-        """Half the diagonal of the largest sheet, with a margin."""
+        """Half the diagonal of the largest tarpaulin with a margin, metres."""
         return 0.75 * max(self.size[1], self.width[1] if self.width else 0.0)
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height over the things below, with folds."""
+        """No lowering, and the height of things under a tarpaulin plus that of its folds, metres."""
         return 0.0, DRAPED + 3.0 * self.folds
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw two sides and a turn."""
+        """Draw both sides, the turn and the tint of each tarpaulin."""
         n = len(things)
         things[:, HALF_U] = 0.5 * rng.uniform(*self.size, n)
         things[:, HALF_V] = 0.5 * rng.uniform(*(self.width or self.size), n)
@@ -119,7 +119,7 @@ class Tarpaulins(Boxes):
         self.paint(rng, things, Look.PAINT, PLASTIC)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        """Lay the sheets over what is there: creases at random, edges that wander."""
+        """Lay the tarpaulins over the ground and low things, with random creases and wandering edges."""
         for thing in lay.things(sheet.box):
             index, dx, dy = sheet.near(thing[EAST], thing[NORTH], thing[REACH])
             if not dx.size:

@@ -53,7 +53,11 @@ Line = Annotated[Places, AfterValidator(_line)]
 
 
 def pieces(corners: F64, length: float) -> F64:
-    """Return a path (N, 2) cut into pieces of about `length` metres: (M, 4) east, north, distance along, height 0."""
+    """Cut a path of corners (N, 2) into pieces of about `length` metres.
+
+    Returns:
+        Vertices, (M, 4) metres: east, north, distance along the path, height 0.
+    """
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
     cuts = np.linspace(0.0, along[-1], max(2, round(along[-1] / length) + 1))
     s = np.union1d(along, cuts)
@@ -63,7 +67,7 @@ def pieces(corners: F64, length: float) -> F64:
 
 
 def winding(line: F64, wander: float, seed: int) -> F64:
-    """Return a line (N, 4) of `pieces`, its points shifted aside smoothly by `wander` m (standard deviation)."""
+    """Return the vertices (N, 4) of `pieces`, smoothly shifted aside by `wander` m (standard deviation)."""
     along = line[:, 2:3]
     aside = wander * noise(along, np.zeros_like(along), seed, 12.0 * wander, 4.0 * wander)
     ahead = np.gradient(line[:, :2], line[:, 2], axis=0)
@@ -93,11 +97,14 @@ class Lined(Layer):
         raise NotImplementedError
 
     def line(self, lay: Lay) -> F64:
-        """Return the vertices, (N, 4): east, north, metres along, height."""
+        """Return the vertices of the path, (N, 4) metres: east, north, distance along, height."""
         return pieces(self.placed, 1e9)
 
     def ways(self, sheet: Sheet, lay: Lay) -> F64 | None:
-        """Return distance from the line, distance along it, its height, (R, C, 3); None: the sheet is out of reach."""
+        """Return distance from the line, distance along it, and its height there at the sheet's positions, (R, C, 3).
+
+        None: the sheet is out of reach.
+        """
         west, south, east, north = sheet.box
         line, reach = lay.keep("line", lambda: self.line(lay)), self.reach()
         low, high = np.minimum(line[:-1], line[1:]), np.maximum(line[:-1], line[1:])

@@ -48,7 +48,7 @@ class Dome(Scattered):
     def domes(
         self, sheet: Sheet, lay: Lay, kind: int, look: tuple[float, float, float, float], shape: int, rooted: bool
     ) -> None:
-        """Stamp all things that reach the sheet as domes; see `kernels.stamps.stamp_domes`, where `look` is `form`."""
+        """Stamp all things that reach the sheet as domes; see `kernels.stamps.stamp_domes` (`look` is its `form`)."""
         things = lay.things(sheet.box)
         if len(things):
             stamps.stamp_domes(
@@ -58,7 +58,7 @@ class Dome(Scattered):
 
 
 def drawn_evenly(rng: Generator, between: Between, count: int) -> F64:
-    """Return (count,) numbers drawn evenly between two limits."""
+    """Draw (count,) uniform random numbers between two limits."""
     return np.asarray(rng.uniform(*between, count))
 
 

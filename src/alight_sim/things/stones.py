@@ -28,18 +28,21 @@ USUAL = 0.05  # share of the ground that sets the sizes of named stones if none 
 
 
 def decay(share: float) -> float:
-    """Return q(k), the decay of the share of ground under stones with diameter, 1/m (Golombek and Rapp 1997)."""
+    """Return q(k), 1/m: decay with diameter of the share of ground under stones (Golombek and Rapp 1997).
+
+    `share`: k, share of the ground under stones of all sizes.
+    """
     return 1.79 + 0.152 / share
 
 
 def share_above(diameter: float, share: float) -> float:
-    """Return the share of ground under stones of a diameter (m) and more: F_k(D) = k exp(-q(k) D)."""
+    """Return the share of ground under stones of `diameter` (m) or more, k exp(-q(k) D); `share`: k, see `decay`."""
     return share * math.exp(-decay(share) * diameter)
 
 
 @lru_cache(64)
 def _counts(share: float, size: Between) -> tuple[F64, F64]:
-    """Return diameters (m), and for each the number of stones per square metre that are at least as large."""
+    """Return diameters (m) within `size`, and for each the number of larger stones per square metre; `share`: k."""
     diameter = np.geomspace(*size, 400) if size[0] < size[1] else np.array(size)
     q = decay(share)
     density = share * q * np.exp(-q * diameter) / (0.25 * math.pi * diameter**2)
@@ -119,7 +122,7 @@ class Stones(Scattered):
         things[:, GREEN], things[:, BLUE] = rng.random(n), rng.random(n)  # random numbers for existence and outline
 
     def share_at(self, east: F64, north: F64, seed: int) -> F64:
-        """Return the share of ground under stones, k, at positions (N,), which varies within the limits of `share`."""
+        """Return the share of ground under stones, k, at positions (N,), m; it varies within the limits of `share`."""
         few, most = self.share or (USUAL, USUAL)
         field = noise(east, north, seed + 5, self.patch, 0.2 * self.patch)
         return np.asarray(few * (most / few) ** ndtr(field))

@@ -29,7 +29,7 @@ STRANDS = 24  # wires of a line, at most
 
 
 def footed(places: F64, lay: Lay) -> F64:
-    """(N, 3) places (N, 2) on the ground, moved to the nearest cell's centre so that a thin post keeps its height."""
+    """Return positions (N, 2), moved to cell centres so that thin posts keep their height, with the ground: (N, 3)."""
     cell = lay.stack.cell
     middle = (np.floor(places / cell) + 0.5) * cell
     if not len(middle):
@@ -38,7 +38,10 @@ def footed(places: F64, lay: Lay) -> F64:
 
 
 def posts(feet: F64, height: F64 | float, thickness: float, look: Look, tint: Tint, cell: float) -> F64:
-    """(N, COLUMNS) upright boxes on feet (N, 3), at least one cell thick."""
+    """Return (N, COLUMNS) upright boxes at the feet (N, 3).
+
+    `height`: metres, one or (N,). `thickness`: metres, at least one `cell` is used. `tint`: factor on the look.
+    """
     things = blank_things(feet[:, :2])
     half = 0.5 * max(thickness, cell)
     things[:, LEVEL], things[:, TOP], things[:, HALF_U], things[:, HALF_V] = feet[:, 2], height, half, half
@@ -62,7 +65,10 @@ class Strung(Layer):
     post_tint: Tint = Field((0.30, 0.26, 0.21), description="factor on that look's reflectance")
 
     def string(self, tops: F64, aside: F64) -> TrueSpans:
-        """Wires and cross-arms between tops (N, 2, 3), whose cross-arms point along `aside` (N, 2, 2) unit vectors."""
+        """Return the wires and cross-arms between pairs of post tops (N, 2, 3).
+
+        `aside`: (N, 2, 2) horizontal unit vectors along the cross-arm at each top.
+        """
         out, length = [], np.linalg.norm(tops[:, 1] - tops[:, 0], axis=1)
         for k in range(self.wires):
             ends = tops.copy()
@@ -82,7 +88,7 @@ class Strung(Layer):
         return TrueSpans.joined(out)
 
     def plant(self, sheet: Sheet, lay: Lay, feet: F64, height: F64 | float) -> None:
-        """Stamp the posts."""
+        """Stamp posts at the feet (N, 3); `height`: metres, one or (N,)."""
         if self.post > 0.0:
             stamp(sheet, posts(feet, height, self.post, self.post_look, self.post_tint, lay.stack.cell), stamps.FLAT)
 
@@ -96,11 +102,11 @@ class PowerLine(Lined, Strung):
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the posts."""
+        """No lowering, and the height of the posts, metres."""
         return 0.0, self.post_height
 
     def feet(self, lay: Lay) -> F64:
-        """(N, 3) feet of the posts: at the corners of the path, and evenly between them."""
+        """Return the (N, 3) feet of the posts: at the corners of the path, and evenly between them."""
         corners = self.placed
         legs = [
             a + np.linspace(0.0, 1.0, max(1, round(math.dist(a, b) / self.posts)) + 1)[:-1, None] * (b - a)
@@ -114,7 +120,7 @@ class PowerLine(Lined, Strung):
         self.plant(sheet, lay, self.feet(lay), self.post_height)
 
     def hang(self, box: Box, lay: Lay) -> TrueSpans:
-        """String the wires."""
+        """Return all wires of the line."""
         return TrueSpans(lay.keep("spans", lambda: self._all(lay).table))
 
     def _all(self, lay: Lay) -> TrueSpans:
@@ -138,16 +144,16 @@ class WashingLine(Scattered, Strung):
 
     @property
     def largest(self) -> float:
-        """Half the longest wire and half a cross-arm."""
+        """Half the longest wire plus half a cross-arm, metres."""
         return 0.5 * self.length[1] + 0.5 * self.wires * self.spacing
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the tallest post."""
+        """No lowering, and the height of the tallest post, metres."""
         return 0.0, self.height[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a length, a height and a turn."""
+        """Draw the length, height and turn of each washing line."""
         n = len(things)
         things[:, HALF_U], things[:, TOP] = 0.5 * rng.uniform(*self.length, n), rng.uniform(*self.height, n)
         turns = rng.uniform(0.0, math.pi, n)
@@ -155,7 +161,7 @@ class WashingLine(Scattered, Strung):
         things[:, REACH] = self.largest
 
     def _feet(self, things: F64, lay: Lay) -> F64:
-        """(N, 2, 3) feet of both posts."""
+        """Return the (N, 2, 3) feet of both posts of each washing line."""
         half = things[:, HALF_U, None] * np.column_stack([np.cos(things[:, TURN]), np.sin(things[:, TURN])])
         middle = things[:, [EAST, NORTH]]
         return footed(np.stack([middle - half, middle + half], axis=1).reshape(-1, 2), lay).reshape(-1, 2, 3)
@@ -166,7 +172,7 @@ class WashingLine(Scattered, Strung):
         self.plant(sheet, lay, self._feet(things, lay).reshape(-1, 3), np.repeat(things[:, TOP], 2))
 
     def hang(self, box: Box, lay: Lay) -> TrueSpans:
-        """String the wires."""
+        """Return the wires of the washing lines that reach into a box."""
         things = lay.things(box)
         tops = self._feet(things, lay)
         tops[..., 2] += things[:, TOP, None]
@@ -191,16 +197,16 @@ class GuyedMast(Scattered):
 
     @property
     def largest(self) -> float:
-        """Distance of the anchors."""
+        """Distance of the farthest anchors from their mast, metres."""
         return self.spread * self.height[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the tallest mast."""
+        """No lowering, and the height of the tallest mast, metres."""
         return 0.0, self.height[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a height and a turn."""
+        """Draw the height and turn of each mast."""
         n = len(things)
         things[:, TOP], things[:, TURN] = rng.uniform(*self.height, n), rng.uniform(0.0, 2.0 * math.pi, n)
         things[:, REACH] = self.spread * things[:, TOP]
@@ -212,7 +218,7 @@ class GuyedMast(Scattered):
         stamp(sheet, posts(feet, things[:, TOP], self.thickness, self.look, self.tint, lay.stack.cell), stamps.FLAT)
 
     def hang(self, box: Box, lay: Lay) -> TrueSpans:
-        """Stretch the guys."""
+        """Return the guys of the masts that reach into a box."""
         out = []
         for thing in lay.things(box):
             (foot,) = footed(thing[None, [EAST, NORTH]], lay)
@@ -239,16 +245,16 @@ class Branches(Scattered):
 
     @property
     def largest(self) -> float:
-        """Reach of the longest branch and its twigs."""
+        """Reach of the longest branch with its twigs, metres."""
         return 1.3 * self.reach[1]
 
     @property
     def rise(self) -> tuple[float, float]:
-        """Height of the tallest trunk."""
+        """No lowering, and the height of the tallest trunk, metres."""
         return 0.0, self.height[1]
 
     def draw(self, rng: Generator, things: F64) -> None:
-        """Draw a height, a reach, and a number from which the branches are drawn."""
+        """Draw the height and reach of each tree, and the seed of its branches."""
         n = len(things)
         things[:, TOP], things[:, HALF_U] = rng.uniform(*self.height, n), rng.uniform(*self.reach, n)
         things[:, EXTRA], things[:, REACH] = rng.integers(2**31, size=n), 1.3 * things[:, HALF_U]
@@ -261,13 +267,13 @@ class Branches(Scattered):
         stamp(sheet, trunks, stamps.FLAT, Terrain.TREE)
 
     def hang(self, box: Box, lay: Lay) -> TrueSpans:
-        """Grow the branches."""
+        """Return the branches of the trees that reach into a box."""
         things = lay.things(box)
         feet = footed(things[:, [EAST, NORTH]], lay)
         return TrueSpans.joined(self._grow(thing, foot) for thing, foot in zip(things, feet, strict=True))
 
     def _grow(self, thing: F64, foot: F64) -> TrueSpans:
-        """Branches of one tree: two spans each, the outer one thinner, and three twigs."""
+        """Return the branches of a tree at `foot` (3,): each has two spans, the outer one thinner, and three twigs."""
         rng, n, (thin, thick) = np.random.default_rng(int(thing[EXTRA])), self.count, self.diameter
         turn = 2.4 * np.arange(n) + rng.normal(0.0, 0.3, n)  # about the golden angle, as branches stand
         start = foot + np.outer(rng.uniform(0.4, 1.0, n) * thing[TOP], UP)

@@ -27,7 +27,7 @@ FREEBOARD = 0.8  # share of `below` to which low ground beside the water is rais
 
 
 def above(field: F64, share: float) -> F64:
-    """Return a field of unit deviation minus the threshold that a `share` of its values exceeds."""
+    """Return a normally distributed field of unit deviation minus the threshold that a `share` of it exceeds."""
     return np.asarray(field - NormalDist().inv_cdf(min(max(1.0 - share, 1e-6), 1.0 - 1e-6)))
 
 

@@ -92,11 +92,24 @@ def test_what_cannot_be_settled_is_refused(tmp_path: Path) -> None:
         opened(tmp_path)
     with pytest.raises(InputError, match=r"motion\.filter\.time_offset"):
         opened(tmp_path, "motion.filter.time_offset=0.1")
-    (tmp_path / "b.ulg").write_bytes(b"")
+    (tmp_path / "b.ulg").write_bytes(b"ULog")
     with pytest.raises(InputError, match=r"holds 2 logs"):
         opened(tmp_path)
 
 
 def test_a_log_beside_photos_with_places_is_left_alone(photos: Path) -> None:
-    (photos / "flight.bin").write_bytes(b"")
+    (photos / "flight.bin").write_bytes(b"\xa3\x95")
+    first = min(photos.glob("*.[jJ]*"))
+    Image.open(first).save(first)  # without a fix
     assert opened(photos).kind == "photos"
+
+
+def test_files_of_a_camera_are_no_logs(photos: Path) -> None:
+    """As on the card of a camera with a receiver for surveys."""
+    for name in ("EVENTLOG.bin", "PPKRAW.bin", "empty.ulg"):
+        (photos / name).write_bytes(b"\xd3\x00" if name.startswith("PPK") else b"")
+    assert opened(photos).kind == "photos"
+    for path in photos.glob("*.[jJ]*"):
+        Image.open(path).save(path)
+    with pytest.raises(InputError, match=r"no photo has a GPS.* no autopilot's log.*EVENTLOG.bin, PPKRAW.bin"):
+        opened(photos)

@@ -78,12 +78,31 @@ def test_a_log_is_the_flight_that_was_flown(tmp_path: Path, name: str) -> None:
 
 
 def test_heights_above_the_sea_alone_need_the_separation(tmp_path: Path) -> None:
-    write_dataflash(tmp_path / "old.bin", autopilot(), undulation=False)
+    write_dataflash(tmp_path / "old.bin", autopilot(), ellipsoid="")
     with pytest.raises(InputError, match=r"sources\.separation"):
         read(tmp_path / "old.bin")
     log = read(tmp_path / "old.bin", 30.0)
     height = autopilot().place(next(e for e in autopilot().events if isinstance(e, NavSample)))[2] + 30.0
     assert log.local.height == pytest.approx(height, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("ellipsoid", "driver", "refused"),
+    [("Und", "u-blox", False), ("AEl", "u-blox", False), ("Und", "NOVA", True), ("AEl", "NOVA", True)],
+)
+def test_ellipsoidal_heights_of_ardupilot(tmp_path: Path, ellipsoid: str, driver: str, refused: bool) -> None:
+    """Its undulation counts from the ellipsoid down; one driver has the opposite sign, in both fields."""
+    write_dataflash(tmp_path / "a.bin", autopilot(), ellipsoid, driver)
+    if refused:
+        with pytest.raises(InputError, match=r"sources\.separation"):
+            read(tmp_path / "a.bin")
+        return
+    assert read(tmp_path / "a.bin").local.height == pytest.approx(LOCAL.height + 30.0, abs=0.02)
+
+
+def test_a_separation_beside_that_of_the_receiver_is_reported(tmp_path: Path) -> None:
+    write_dataflash(tmp_path / "a.bin", autopilot())
+    assert "-46.5 m, by sources.separation; the receiver has +46.5 m" in read(tmp_path / "a.bin", -46.5).found[-1]
 
 
 def test_of_several_starts_the_longest_is_read(tmp_path: Path) -> None:

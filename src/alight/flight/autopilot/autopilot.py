@@ -22,7 +22,10 @@ class TelemetryReader(Protocol):
         """Begin anew after a reboot of the autopilot; `starts` is the number of its boots so far."""
 
     def feed(self, name: str, message: Any, clock: VehicleClock) -> Sequence[NavSample | ImuSample]:
-        """Process a message; return the samples that are now complete, in order of time."""
+        """Process a message of the type `name`; return the samples that are now complete, in order of time.
+
+        `clock` converts the message's stamps to our clock.
+        """
 
 
 class Autopilot:
@@ -71,7 +74,7 @@ class Autopilot:
         return out
 
     def notices(self) -> list[Notice]:
-        """Return the vehicle's changes of state and answers to orders since the last call."""
+        """Return the vehicle's changes of state and answers to our commands since the last call."""
         out, self._notices = self._notices, []
         return out
 
@@ -108,7 +111,7 @@ class Autopilot:
         return self.vehicle is None or self.vehicle.has_listener(self._now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """Process received bytes, in pieces of any length; no content raises an exception."""
+        """Process bytes received at `now_ns`, in pieces of any length; no content raises an exception."""
         self._now_ns = max(now_ns, self._now_ns)
         for received in self._framing.decode(data, now_ns):
             if received.component != mavlink.MAV_COMP_ID_AUTOPILOT1:

@@ -44,7 +44,7 @@ class VehicleClock:
 
     @property
     def known(self) -> bool:
-        """Whether an answer has come, so that instants can be converted between the clocks."""
+        """Whether a TIMESYNC answer has come, so that instants can be converted between the clocks."""
         return self._base is not None
 
     def is_request_due(self, now_ns: int) -> bool:
@@ -121,7 +121,7 @@ class VehicleClock:
         """Convert an instant of the autopilot's clock to our clock.
 
         Raises:
-            ValueError: no answer has come yet.
+            ValueError: no TIMESYNC answer has come yet.
         """
         if self._base is None:
             raise ValueError("the autopilot's clock is not known yet")
@@ -143,7 +143,7 @@ class TimeoutClock:
         self._counted_ns: int | None = None  # our clock: until when silence has been counted
 
     def add_stamp(self, boot_ns: int, now_ns: int) -> bool:
-        """Process a stamp of the autopilot's clock; return whether the autopilot has rebooted."""
+        """Process a stamp of the autopilot's clock, received at `now_ns`; return whether the autopilot has rebooted."""
         before, self._counted_ns = self._boot_ns, now_ns + _SILENCE_NS
         if before is None or boot_ns > before:
             self.t_ns += 0 if before is None else boot_ns - before
@@ -172,13 +172,16 @@ class LinkWatch:
         self._checks = 0  # checks since the last tick
 
     def on_heartbeat(self, now_ns: int, timeout_ns: int) -> bool:
-        """Process a heartbeat; return whether the link was lost before and is back."""
+        """Process a heartbeat; return whether the link was lost before and is back.
+
+        `now_ns`, `timeout_ns`: present time of our clock, and of the `TimeoutClock`.
+        """
         self._heartbeat = now_ns, timeout_ns
         back, self.alive = not self.alive, True
         return back
 
     def tick(self, now_ns: int, timeout_ns: int) -> str:
-        """Check the heartbeat; return the reason if the vehicle was lost just now, else an empty string."""
+        """Check the heartbeat; return the reason if the vehicle was lost now, else "". Args: see `on_heartbeat`."""
         self._ticked_ns, self._checks = now_ns, 0
         if self._heartbeat is None:
             return ""

@@ -38,9 +38,9 @@ class _Command:
 class CommandAnswer(NamedTuple):
     """The end of a command: accepted, refused or never answered."""
 
-    ticket: int
-    ok: bool
-    text: str
+    ticket: int  # of the command
+    ok: bool  # whether the command was accepted
+    text: str  # name of the command, and its outcome in words
     mode: FlightMode | None  # mode that the command leads to
     refused: bool  # whether the autopilot refused it for good
 
@@ -70,6 +70,7 @@ class CommandQueue:
         Args:
             name, number: name of the command for its answer, and its MAV_CMD.
             parameters: up to seven parameters; missing ones are 0.
+            t_ns: present time; all times here are of the `TimeoutClock`.
             flies: whether the command moves the vehicle; such a command is dropped at a takeover.
             mode: flight mode that the command leads to; None: it changes no mode.
             wait_ns: delay before the command is first sent.
@@ -82,11 +83,11 @@ class CommandQueue:
         return self._tickets
 
     def give_up(self, number: int) -> None:
-        """Drop all commands of a MAV_CMD, without an answer."""
+        """Drop all commands whose MAV_CMD is `number`, without an answer."""
         self._queues.pop(number, None)
 
     def waiting(self, number: int) -> bool:
-        """Whether a command of a MAV_CMD is under way or queued."""
+        """Whether a command whose MAV_CMD is `number` is under way or queued."""
         return bool(self._queues.get(number))
 
     def waiting_modes(self) -> set[FlightMode]:
@@ -99,7 +100,10 @@ class CommandQueue:
             self._queues[number] = deque(c for c in queue if not (everything or c.flies))
 
     def on_ack(self, number: int, result: int, t_ns: int) -> Iterator[CommandAnswer]:
-        """Yield the answer that a COMMAND_ACK gives to a command of ours; none if the command is in progress."""
+        """Yield the answer that a COMMAND_ACK gives to our command; yield nothing while the command is in progress.
+
+        `number`, `result`: MAV_CMD and MAV_RESULT of the COMMAND_ACK.
+        """
         queue = self._queues.get(number)
         if not queue or not queue[0].tries:
             return

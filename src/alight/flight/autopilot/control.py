@@ -83,9 +83,10 @@ class ControlWatch:
         return f"the mode went from {before[1]} to {name}, which we did not order"
 
     def _is_not_obeyed(self, mode: FlightMode, t_ns: int, on_ground: bool) -> bool:
-        """Whether our newest order was accepted two seconds ago or earlier, and yet another mode is flown.
+        """Whether `mode` is flown although our newest order, another mode, was accepted two seconds ago or earlier.
 
-        It also finds a takeover that `_is_ours` accepts: a pilot's change to a mode that we ordered seconds before.
+        Changes that the autopilot makes by itself (some only `on_ground`) are allowed. The method also finds a takeover
+        that `_is_ours` accepts: a pilot's change to a mode that we ordered seconds before.
         """
         newest, accepted_ns = self._newest, self._accepted_ns
         if newest is None or accepted_ns is None or t_ns < accepted_ns + _GRACE_NS:
@@ -102,7 +103,10 @@ class ControlWatch:
         return True
 
     def sticks(self, positions: tuple[int, ...]) -> str:
-        """Return which stick a pilot has moved since we took control, in words, or an empty string."""
+        """Return which stick a pilot has moved since we took control, in words, or an empty string.
+
+        `positions`: positions of the four sticks, microseconds, as in RC_CHANNELS.
+        """
         if not self.in_control:
             return ""
         if self._neutral is None:

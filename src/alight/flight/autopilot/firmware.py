@@ -52,7 +52,10 @@ class Firmware(ABC):
 
     @abstractmethod
     def take_off_altitude(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
-        """Return parameters 4 to 7 of MAV_CMD_NAV_TAKEOFF for a climb to `height` metres above home."""
+        """Return parameters 4 to 7 of MAV_CMD_NAV_TAKEOFF for a climb to `height` metres above home.
+
+        `telemetry`: newest telemetry, which holds the altitude of home.
+        """
 
     @abstractmethod
     def reach(self, speed: float, upright: bool) -> float:
@@ -77,7 +80,7 @@ class Firmware(ABC):
         return self.modes.get(name, FlightMode.OTHER), name
 
     def is_natural(self, before: FlightMode, after: FlightMode, on_ground: bool) -> bool:
-        """Whether the autopilot makes this change of mode by itself at the end of a task."""
+        """Whether the autopilot makes this change of mode by itself at the end of a task, in the air or `on_ground`."""
         ground_only = self.natural.get((before, after))
         return ground_only is not None and (on_ground or not ground_only)
 
@@ -118,7 +121,7 @@ class ArduPilotFirmware(Firmware):
         return (0.0, 0.0, 0.0, height)
 
     def reach(self, speed: float, upright: bool) -> float:
-        """Return the distance, m, that a set-point needs for flight at `speed`, m/s.
+        """Return the distance, m, that a set-point needs for flight at `speed`, m/s; see `Firmware.reach`.
 
         Copter's position controller (of all releases so far) brakes with half of its acceleration a, so that
         v = sqrt(a (d - a / 4)) at the distance d, and v = d (gain 1/s) near the target. The result includes 0.5 s of
@@ -128,7 +131,7 @@ class ArduPilotFirmware(Firmware):
         return speed**2 / braking + braking / 4 + 0.5 * speed
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
-        """Return the LANDING_TARGET in body axes, not levelled, as ArduPilot applies its own attitude."""
+        """Return LANDING_TARGET in body axes, as ArduPilot applies its own attitude; see `Firmware.landing_target`."""
         x, y, z = (float(v) for v in border.frd(world_from_body.T @ target_world))
         return mavlink.MAVLink_landing_target_message(
             time_usec=t_ns // 1000, target_num=0, frame=mavlink.MAV_FRAME_BODY_FRD, angle_x=math.atan2(y, z),
@@ -181,7 +184,7 @@ class Px4Firmware(Firmware):
         return (math.nan, math.nan, math.nan, math.nan if home is None else home.altitude_msl + height)
 
     def reach(self, speed: float, upright: bool) -> float:
-        """Return the distance, m, that a set-point needs for flight at `speed`, m/s, by PX4's position gain."""
+        """Return the distance, m, to a set-point for flight at `speed`, by the position gain; see `Firmware.reach`."""
         return speed / 0.95  # 1/s: MPC_XY_P; the vertical gain, MPC_Z_P, is 1.0
 
 

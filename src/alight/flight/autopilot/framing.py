@@ -36,7 +36,7 @@ class _Sequence:
         return repeated
 
     def overtaken(self, name: str, sequence: int, now_ns: int) -> tuple[bool, bool]:
-        """Add a message; return whether it comes after a newer message of its kind, and after one of any kind.
+        """Add a message; return two flags: a newer message of its type `name`, and one of any type, came before it.
 
         After a second without a higher number, a lower number is treated as a restart of the sender.
         """

@@ -47,7 +47,7 @@ class PositionReport:
 
 
 def place_of(latitude: int, longitude: int, altitude: int, above_home: int) -> Place | None:
-    """Return the position of MAVLink's integers, in 1e-7 degrees and mm; None: they are impossible or not set.
+    """Convert MAVLink's integers, in 1e-7 degrees and mm, to a position; None: they are impossible or not set.
 
     Latitude and longitude of exactly 0 are sent while the position is unknown.
     """

@@ -63,7 +63,7 @@ class TextJoiner:
 class Displacement(NamedTuple):
     """Displacement of a vehicle, as estimated by the autopilot."""
 
-    vector: F64 | None  # (3,) metres; None: unknown, as the autopilot's positions are late or have jumped
+    vector: F64 | None  # (3,) metres, world axes; None: unknown, as the autopilot's positions are late or have jumped
     jumped: bool = False  # whether the positions contradict each other
 
 
@@ -133,7 +133,7 @@ class RemoteVehicle:
         return self._state.positions.oldest(self._now_ns, self.clock) if self.clock.known else math.inf
 
     def tie(self, local: LocalFrame, position_world: F64, t_ns: int) -> EstimateTie | None:
-        """Tie our position to the autopilot's position at the same instant of our clock.
+        """Tie our position, `position_world` at `t_ns` of our clock, to the autopilot's position at the same instant.
 
         Returns:
             The tie; None: the autopilot has no position near that instant.
@@ -142,7 +142,7 @@ class RemoteVehicle:
         return None if place is None else EstimateTie(local, position_world, place)
 
     def displacement(self, local: LocalFrame, since_ns: int, now_ns: int) -> Displacement:
-        """Return the autopilot's estimate of the displacement between two instants of our clock, in axes of `local`."""
+        """Return the displacement from `since_ns` to `now_ns` of our clock, by the autopilot, in axes of `local`."""
         if self.place_jumped:
             return Displacement(None, jumped=True)
         then, now = self.place_at(since_ns), self.place_at(now_ns)
@@ -192,7 +192,7 @@ class RemoteVehicle:
         return self._commands.submit("disarm", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,), self._timeouts.t_ns)
 
     def take_off(self, height: float) -> int:
-        """Climb to `height` metres above home (ArduPilot: in guided mode); return the ticket."""
+        """Command a climb to `height` metres above home; return the ticket. ArduPilot must be in guided mode."""
         mode, t_ns = FlightMode.TAKE_OFF, self._timeouts.t_ns
         self._control.ordered(mode, t_ns)
         self._guidance.forget_speeds()
@@ -207,7 +207,10 @@ class RemoteVehicle:
         self._commands.drop()
 
     def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool:
-        """Fly to a set-point (in guided mode). It is repeated if the autopilot needs that.
+        """Send a set-point, for a vehicle in guided mode; repeat it later if the autopilot needs that.
+
+        Args:
+            tie: converts the position of the set-point; None: the set-point has no position.
 
         Returns:
             False if it is not sent, as we are not in control.

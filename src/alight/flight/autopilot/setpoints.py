@@ -34,7 +34,7 @@ class Setpoint:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A set-point in the autopilot's own coordinates, which can be sent again without a new tie."""
+    """A set-point in the autopilot's coordinates, units as in `Setpoint`; it can be sent again without a new tie."""
 
     place: Place | None
     velocity_ned: F64 | None = None
@@ -87,7 +87,12 @@ class Target:
         ))  # fmt: skip
 
     def message(self, t_ns: int, system: int, component: int) -> Any:
-        """Return the MAVLink message: a position above sea level, or a velocity in the local frame."""
+        """Return the MAVLink message: a position above sea level, or a velocity in the local frame.
+
+        Args:
+            t_ns: stamp of the message, our clock.
+            system, component: address of the vehicle.
+        """
         ignored = ["AX", "AY", "AZ", "YAW_RATE"]
         ignored += [] if self.place is not None else ["X", "Y", "Z"]
         ignored += [] if self.velocity_ned is not None else ["VX", "VY", "VZ"]
@@ -126,6 +131,7 @@ class Guidance:
         """Send a set-point towards a target, near the vehicle.
 
         Args:
+            target: position or velocity to reach in the end.
             here: position of the vehicle; None: unknown; then the last set-point or, without one, the target is sent.
         """
         if self.target is None:
@@ -149,7 +155,7 @@ class Guidance:
         self._speeds_ns = -_SPEED_AGAIN_NS
 
     def keep_speeds(self, t_ns: int) -> None:
-        """Send the speeds of the target if they are new or were sent a while ago; infinite speeds are not sent."""
+        """Send the speeds of the target if they are new or were sent 2 s ago; infinite speeds are not sent."""
         if self.target is None or not self._firmware.takes_speeds:
             return
         speeds, number = (self.target.speed, self.target.sink), mavlink.MAV_CMD_DO_CHANGE_SPEED
@@ -163,7 +169,10 @@ class Guidance:
                 self._tickets.add(self._commands.submit("speed", number, (kind, speed, -1.0), t_ns))
 
     def is_quiet(self, ticket: int, ok: bool) -> bool:
-        """Process an answer to any command; return whether it is to a speed command and is not the first refusal."""
+        """Process the answer to the command with this ticket; return whether it needs no notice to the pilot.
+
+        This holds for speed commands that are accepted (`ok`), or refused like the previous speed command.
+        """
         if ticket not in self._tickets:
             return False
         self._tickets.discard(ticket)

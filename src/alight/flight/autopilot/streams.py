@@ -79,12 +79,12 @@ class StreamKeeper:
         self._tickets.clear()
 
     def on_message(self, name: str, t_ns: int) -> None:
-        """Note that a message has come; a message that was not requested has no effect."""
+        """Note that a message called `name` has come; a message that was not requested has no effect."""
         if name in self._streams:
             self._streams[name].on_message(t_ns)
 
     def on_answer(self, ticket: int, refused: bool) -> bool:
-        """Process an answer; return whether it belongs to a request for a stream.
+        """Process the answer to the command `ticket`; return whether the command requested a stream.
 
         A message that the autopilot refuses is replaced by a message with the same content, if there is one.
         """

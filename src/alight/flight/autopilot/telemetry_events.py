@@ -80,7 +80,7 @@ class TelemetryEvents:
         return given if not math.isnan(given) else math.nan if gps is None else gps.separation
 
     def feed(self, name: str, message: Any, clock: VehicleClock) -> list[NavSample | ImuSample]:
-        """Process a message of the vehicle; return the samples that are now complete, in order of time."""
+        """Process a message of the vehicle; see `TelemetryReader.feed`."""
         if name == "GPS_RAW_INT":
             self._gps = gps_quality(message)
         elif name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):

@@ -68,7 +68,7 @@ def _landed(m: Any) -> dict[str, Any]:
 
 
 def _wind(m: Any) -> dict[str, Any]:
-    """Return the wind of ArduPilot's WIND message, whose direction, degrees, is where the wind comes from."""
+    """Return the telemetry's `wind_world` from ArduPilot's WIND; its `direction`, degrees, is where wind comes from."""
     towards = math.radians(m.direction) + math.pi if math.isfinite(m.direction) else math.nan
     return _wind_ned(m.speed * math.cos(towards), m.speed * math.sin(towards), m.speed_z)
 
@@ -138,7 +138,7 @@ class VehicleState:
         return True
 
     def _on_position(self, m: Any, now_ns: int) -> bool:
-        """Process a position; return whether it is accepted. After a jump, none is until the reports agree."""
+        """Process a position; return whether it is accepted. After a jump, no position is until the reports agree."""
         report = report_of(m)
         if report is None:
             return False

@@ -70,7 +70,12 @@ class Descent:
         return len(self._p) == self._p.maxlen and median(self._p) < self._keys.abort_median
 
     def too_long(self, t: float, left: float) -> str:
-        """Return the reason if the landing takes too long or the newest verdict is too old, else an empty string."""
+        """Return the reason if the landing takes too long or the newest verdict is too old, else an empty string.
+
+        Args:
+            t: present time, s.
+            left: height above the site, metres; if it is too low to abort, the age of the verdict has no effect.
+        """
         if t - self._begun > self._keys.hold + self._high / self._keys.landing_speed:
             return f"it does not come down: {t - self._begun:.0f} s"
         silent = t - self._taken[-1]
@@ -78,14 +83,15 @@ class Descent:
         return f"no verdict for {silent:.1f} s" if late else ""
 
     def unfelt(self, t: float) -> str:
-        """Return the reason if no touchdown is reported for too long on the last metres, else an empty string."""
+        """Return the reason if, at `t` s, no touchdown has been reported for too long on the last metres, else ""."""
         waited = 0.0 if self._low_at is None else t - self._low_at
         return f"for {waited:.0f} s on the last metres" if waited > self._keys.hold else ""
 
     def _is_checked(self, left: float) -> bool:
         """Whether the vehicle has descended less than `unchecked` metres during the last `refusals_to_abort` verdicts.
 
-        If so, an object that enters the site is seen in time for an abort, however slow the verdicts are.
+        `left`: present height above the site, metres. If true, an object that enters the site is seen in time for an
+        abort, however slow the verdicts are.
         """
         first = self._taken[0]
         while len(self._flown) > 1 and self._flown[1][0] <= first:
@@ -93,7 +99,7 @@ class Descent:
         return not self._keys.look_again or self._flown[0][1] - left < self._keys.unchecked
 
     def _has_enough_verdicts(self, left: float) -> bool:
-        """Whether enough verdicts for an abort have come, or will come during the descent."""
+        """Whether enough verdicts for an abort have come, or will come on the way from `left` metres above the site."""
         waits = left - self._keys.degraded_height < self._keys.unchecked and not is_near_ground(left, self._keys)
         return not (waits and self._keys.look_again) or len(self._p) == self._p.maxlen
 

@@ -87,7 +87,7 @@ class LookPlanner:
         self._number = -1  # number of that verdict
 
     def first_height(self, place: Site, now: Situation) -> float:
-        """Return the height of the first look, metres above the location, which is its next view's if it has one."""
+        """Return the height of the first look, metres above `place`: the height of its next view, or lower than now."""
         assert now.position is not None
         least, up = self._keys.commit_height, float(now.position[2]) - place.up
         wanted = place.look.height if place.look is not None else up * self._route.look_share
@@ -112,6 +112,7 @@ class LookPlanner:
         Args:
             place: site or candidate to look at.
             height: height of the look above the location, metres.
+            now: present situation, which must have a position.
             seen: newest verdict on a map of this frame; None: no obstacles are known.
             flown: leg planned before; returned if it crosses this location and no other leg is clear.
         """

@@ -145,7 +145,10 @@ class KnownPlaces:
         return place.kind == "site" or (few and place.p_safe >= self._keys.probable)
 
     def better(self, place: Site, is_open: Callable[[Site], bool] = lambda place: True) -> Site | None:
-        """Return a location worth a visit and clearly better than `place`, which is in doubt; None: there is none."""
+        """Return a location worth a visit and clearly better than `place`, which is in doubt; None: there is none.
+
+        `is_open`: see `best`.
+        """
         others = (
             p for p in self._ranked() if math.hypot(p.east - place.east, p.north - place.north) > self._keys.banned
         )

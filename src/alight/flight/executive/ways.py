@@ -34,6 +34,7 @@ class ClearWay:
         """Return the height, metres up, at which a level path from above `start` (3,) to above `to` (3,) is clear.
 
         Args:
+            seen: verdict on the map that shows the obstacles.
             at_a_place: whether the path joins two looks at one location; then only mapped obstacles are avoided.
         """
         grid, k = seen.elevation.grid, self._keys
@@ -45,8 +46,8 @@ class ClearWay:
     def is_free(self, start: F64, to: F64, ground: float, seen: MapVerdict, times: float = 1.0) -> bool:
         """Whether a level path from `start` to `to`, (3,) metres, near a location is free.
 
-        All obstacles within `times` times the larger of `route.clearance` and twice the lander's radius must rise at
-        most `executive.rise` above `ground`, metres up, and must stay well below the path.
+        All obstacles on the map of `seen` within `times` times the larger of `route.clearance` and twice the lander's
+        radius must rise at most `executive.rise` above `ground`, metres up, and must stay well below the path.
         """
         grid, width = seen.elevation.grid, times * self._beside
         reach = width + 0.5 * math.hypot(to[0] - start[0], to[1] - start[1])
@@ -61,7 +62,7 @@ class ClearWay:
         return highest <= min(ground + self._keys.rise, float(start[2]) - spare)
 
     def is_free_down(self, place: Site, seen: MapVerdict) -> bool:
-        """Whether no tall obstacle is beside the path down to a location, by the limits for its lowest look."""
+        """Whether no tall obstacle on the map of `seen` is beside the descent to a location; see `is_free`."""
         above = np.array([place.east, place.north, place.up + self._keys.commit_height])
         return self.is_free(above, above, place.up, seen)
 
@@ -95,6 +96,7 @@ class Course:
             position: position of the vehicle, (3,) metres.
             to: end of the path, (3,) metres.
             seen: newest verdict on a map of this frame; None: no obstacles are known.
+            state: state of the executive, which decides how the path avoids obstacles.
         """
         if state in (FlightState.APPROACH, FlightState.DESCEND):
             to = self._downwards(position, to)
@@ -107,14 +109,17 @@ class Course:
         return to
 
     def is_stuck(self, t: float, position: F64) -> bool:
-        """Whether the vehicle has come no nearer to the ordered point for `executive.hold` seconds."""
+        """Whether at `t`, s, the vehicle has come no nearer to the ordered point for `executive.hold` seconds."""
         left = float(np.linalg.norm(self._next - position))
         if self._nearer_at is None or left < self._nearest - NEARER:
             self._nearest, self._nearer_at = left, t
         return t - self._nearer_at > self._keys.hold
 
     def _upwards(self, position: F64, to: F64, seen: MapVerdict | None, at_a_place: bool) -> F64:
-        """Return `to`, raised to clear the path; if the vehicle is lower, the point above the start of its climb."""
+        """Return `to`, raised to clear the path; if the vehicle is lower, the point above the start of its climb.
+
+        `at_a_place`: see `ClearWay.level`.
+        """
         level = float(to[2])
         if seen is not None:
             level = max(level, self._clear_way.level(position, to, seen, at_a_place))
@@ -125,7 +130,7 @@ class Course:
         return np.array([*to[:2], level])
 
     def _downwards(self, position: F64, to: F64) -> F64:
-        """Return `to`, the end of a descent; while the vehicle is off the path, at the height where it left the path.
+        """Return the next point of a descent, (3,) metres: `to`; off the path, at least as high as where it was left.
 
         Only obstacles within a few metres of the path were checked, and a gust may displace the vehicle as far.
         """

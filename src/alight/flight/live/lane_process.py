@@ -56,8 +56,8 @@ class Reply(NamedTuple):
     """Reply of a lane to a call: the result, or the failure as text."""
 
     result: Any
-    memory: Any
-    failure: str
+    memory: Any  # the lane's attribute that `LaneSpec.memory` names; None: no attribute
+    failure: str  # traceback; empty: the call succeeded
     compiled: tuple[str, ...]  # loops that had to be compiled since the process was ready
 
 
@@ -134,7 +134,7 @@ class LaneProcess:
 
     @staticmethod
     def _send(line: Connection, request: tuple[str, tuple[Any, ...]]) -> None:
-        """Send a request; runs on a thread of its own, as it blocks if the process hangs."""
+        """Send a request, (method, arguments); runs on a thread of its own, as it blocks if the process hangs."""
         with contextlib.suppress(OSError):
             line.send(request)
 
@@ -191,7 +191,10 @@ def _activity(pid: int | None) -> Activity:
 
 
 def serve(line: Connection, spec: LaneSpec, memory: tuple[Any, ...]) -> None:
-    """Run a lane in this process: make it, then answer one call after another until the connection is closed."""
+    """Run a lane in this process: make it, then answer the calls of a `LaneProcess` over `line` until it is closed.
+
+    `memory`: further arguments for making the lane: none, or the memory of the lane that it replaces.
+    """
     for s in (signal.SIGINT, signal.SIGTERM):
         signal.signal(s, signal.SIG_IGN)  # the flight ends its lanes itself, after it has taken their results
     multiprocessing.set_start_method("spawn", force=True)  # else Numba makes a lock that a killed process leaves behind

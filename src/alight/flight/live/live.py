@@ -47,7 +47,7 @@ class Listener:
 
     motion: Callable[[Motion], None] = lambda motion: None
     verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None  # with the stamp of its newest exposure
-    lost: Callable[[str, str], None] = lambda lane, why: None
+    lost: Callable[[str, str], None] = lambda lane, why: None  # with the name of the lane and the reason
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +206,7 @@ class Live:
     # -- the threads
 
     def _use(self, kind: str, t_ns: int, **value: Any) -> None:
-        """Add an exposure to the list `kind` of the schedule, and each further value to the list of its name."""
+        """Add an exposure's stamp to the list `kind` of the schedule, and each `value` to the list of its name."""
         self._used[kind].append(t_ns)
         for name, v in value.items():
             self._used[name].append(v)

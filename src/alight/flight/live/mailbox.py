@@ -15,7 +15,10 @@ class Closed(Exception):  # noqa: N818  (not an error: the end of a mailbox)
 
 
 class Mailbox(Generic[T]):
-    """A queue of at most `size` items between threads; if full, the oldest two are merged, or the sender waits."""
+    """A queue of at most `size` items between threads.
+
+    If it is full, `merge` makes one item of the oldest two, the oldest first; None: the sender waits.
+    """
 
     def __init__(self, size: int, merge: Callable[[T, T], T] | None = None) -> None:
         self._items, self._size, self._merge = deque[T](), size, merge

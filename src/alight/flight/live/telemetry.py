@@ -130,6 +130,8 @@ class TelemetryFeed:
 def with_telemetry(opened: LiveSource, link: str, separation: float | None = None) -> LiveSource:
     """Combine a source of pictures with an autopilot's GPS/INS; the world's origin is the autopilot's position.
 
+    `link`, `separation`: see `TelemetryFeed`.
+
     Raises:
         InputError: the source is a recording, or the autopilot gives no position.
     """

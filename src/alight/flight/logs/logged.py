@@ -28,7 +28,7 @@ class LoggedStream:
 
     @classmethod
     def of(cls, name: str, t_ns: I64, *columns: F64) -> LoggedStream:
-        """Make a stream from columns (N,) of values."""
+        """Make the stream called `name` from times (N,), ns, and columns (N,) of values."""
         return cls(name, np.asarray(t_ns, np.int64), np.stack([np.asarray(c, np.float64) for c in columns], axis=-1))
 
     def where(self, keep: Mask) -> LoggedStream:
@@ -133,6 +133,7 @@ def streams_of(log: AutopilotLog, path: str, separation: float | None, findings:
     streams = (attitude, position, velocity, accuracy, log.gyroscope)
     found = [line for s in streams if (line := _line(s))]
     origin = "the receiver" if separation is None else "sources.separation"
+    origin += f"; the receiver has {np.median(known):+.1f} m" if separation is not None and len(known) else ""
     found.append(f"ellipsoid above sea level: {apart:+.1f} m, by {origin}")
     return LoggedFlight(LocalFrame(*nav.values[0, :3].tolist()), nav, used, tuple(found))
 

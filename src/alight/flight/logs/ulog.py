@@ -59,7 +59,7 @@ def _indexed(name: str, count: int) -> list[str]:
 
 
 def _stream(name: str, data: dict[str, Any], fields: Sequence[str]) -> LoggedStream:
-    """Return the stream of a topic; empty if one of the fields is missing."""
+    """Return the stream of the columns `fields` of a topic; `data`: its columns by name. Empty if one is missing."""
     if any(f not in data for f in ("timestamp", *fields)):
         return LoggedStream(name, values=np.empty((0, len(fields))))
     return LoggedStream.of(name, np.asarray(data["timestamp"], np.int64) * 1000, *(data[f] for f in fields))
@@ -73,7 +73,10 @@ def _accuracy(place: dict[str, Any], local: dict[str, Any]) -> LoggedStream:
 
 
 def _separations(gps: dict[str, Any]) -> F64:
-    """Return the separations, metres, from the receiver's heights: metres since PX4 1.14, millimetres before."""
+    """Return the separations, (N,) metres, from the receiver's topic, `gps`: columns by name. Empty without heights.
+
+    Heights are in metres since PX4 1.14, in millimetres before.
+    """
     for ellipsoid, msl, unit in (("altitude_ellipsoid_m", "altitude_msl_m", 1.0), ("alt_ellipsoid", "alt", 1e-3)):
         if ellipsoid in gps and msl in gps:
             fixed = np.asarray(gps.get("fix_type", np.full(len(gps[msl]), 3))) >= 3

@@ -88,7 +88,7 @@ class FlightOutcome:
     """The end of a flight: its checks, the reason in words, and the result if a landing was begun."""
 
     checks: Sequence[CheckResult]
-    why: str
+    why: str  # reason of the end, in words
     state: FlightState | None = None  # None: no landing was begun
     result: RunResult | None = None
 
@@ -139,7 +139,10 @@ def fly_vehicle(
 def wait_for_vehicle(
     plan: FlightRequest, feed: TelemetryFeed, machine: Sequence[CheckResult], on_status: OnStatus, on_line: OnLine
 ) -> list[CheckResult]:
-    """Wait until an autopilot has reported its position, at most `PATIENCE` seconds; return the newest checks."""
+    """Wait until an autopilot has reported its position, at most `PATIENCE` seconds; return the newest checks.
+
+    The list begins with `machine`, the checks of this computer. `on_status`, `on_line`: see `fly_vehicle`.
+    """
     begin, found, refused = time.monotonic(), list[CheckResult](), ""
     while not feed.located and time.monotonic() - begin < PATIENCE:
         with feed.lock:
@@ -169,7 +172,10 @@ def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = ""
 def open_session(
     plan: FlightRequest, opened: LiveSource, feed: TelemetryFeed, log: SessionLog, on_status: OnStatus
 ) -> FlightSession:
-    """Open the lanes of a flight; `feed` must have a vehicle and its position."""
+    """Open the lanes of a flight, and return the session that flies it.
+
+    The pictures come from `opened`. `feed` must have a vehicle and its position. `on_status`: see `fly_vehicle`.
+    """
     local, vehicle = feed.events_of.local, feed.autopilot.vehicle
     assert local is not None
     assert vehicle is not None

@@ -74,7 +74,10 @@ class BatteryWatch:
         self._share, self._at = math.nan, math.inf  # last report, and its time in s
 
     def share(self, reports: Telemetry, now: float) -> float:
-        """Return the charge, 0 to 1; NaN: it was reported once, but no longer is. A charge never reported is 1."""
+        """Return the charge, 0 to 1; NaN: it was reported once, but no longer is. A charge never reported is 1.
+
+        `now`: present time, s.
+        """
         age = reports.ages.get("SYS_STATUS", math.inf)
         if not math.isnan(reports.battery.share) and age < SILENT:
             self._share, self._at = reports.battery.share, now - age
@@ -136,11 +139,14 @@ class LandingInputs:
         self.add_map_verdict(found, t_ns)
 
     def add_map_verdict(self, verdict: MapVerdict, t_ns: int) -> None:
-        """Store a verdict; its number must be larger than the number of the previous verdict."""
+        """Store a verdict, with a larger number than the previous verdict; `t_ns`: see `add_verdict`."""
         self.verdict, self.verdict_ns, self.is_new = verdict, t_ns, True
 
     def situation(self, now_ns: int, in_control: bool) -> tuple[Situation, Motion | None]:
-        """Return the situation at `now_ns`, and the motion that gave its position; None: the position is unknown."""
+        """Return the situation at `now_ns`, and the motion that gave its position; None: the position is unknown.
+
+        `in_control`: whether we control the vehicle.
+        """
         assert self._begin_ns is not None
         m, reports = self.motion, self._vehicle.telemetry
         located = reports.has_position  # else the autopilot cannot follow a set-point
@@ -172,7 +178,7 @@ class LandingInputs:
         return now, m if position is not None else None
 
     def _position(self, motion: Motion, now_ns: int) -> F64 | None:
-        """Return the newest motion plus the autopilot's displacement since then, (3,) metres; None: unknown."""
+        """Return the present position, (3,) metres: of `motion`, plus the displacement since then; None: unknown."""
         flown = self._vehicle.displacement(self._local, motion.t_ns, now_ns).vector
         if flown is None and (now_ns - motion.t_ns) * 1e-9 > self._stale:
             return None

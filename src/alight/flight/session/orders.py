@@ -64,6 +64,7 @@ class OrderSender:
     A target is computed from a motion. It is sent relative to the autopilot's own position at the time of that motion.
 
     Args:
+        vehicle, commands: see `LandingPilot`.
         local: the world frame, for positions in degrees.
         warn: called with each warning to a person.
     """
@@ -88,6 +89,7 @@ class OrderSender:
 
         Args:
             order: order in the frame of the motion.
+            state: state of the executive that gave the order.
             motion: newest motion; None: unknown. An order to land then leads straight down.
         """
         if order.what == "nothing":
@@ -113,7 +115,10 @@ class OrderSender:
         return self.order_mode(FlightMode.HOLD, now_ns)
 
     def on_answer(self, ticket: int | None, ok: bool, now_ns: int) -> None:
-        """Process the answer to a command; a mode that was refused is ordered again after `AGAIN_NS`."""
+        """Process the answer to a command; a mode that was refused is ordered again after `AGAIN_NS`.
+
+        An answer whose ticket is not of the last order of a mode has no effect. `ok`: whether it was accepted.
+        """
         if ticket != self._ticket:
             return
         self._ticket = -1
@@ -146,7 +151,7 @@ class OrderSender:
         return True
 
     def _hold(self, state: FlightState, now_ns: int) -> str:
-        """Hold in guided mode, or in the autopilot's HOLD mode while an input is missing; return the action."""
+        """Hold in guided mode or, in state HOLD or ABORT or without a new position, in HOLD mode; return the action."""
         here = self._vehicle.place_at(now_ns) or self._vehicle.telemetry.place
         if state in (FlightState.HOLD, FlightState.ABORT) or here is None or self._vehicle.place_age > self._stale:
             self._held = None  # else it would fly to a position from before a jump of the estimate
@@ -195,7 +200,7 @@ class OrderSender:
         return f"fly to {place_text(leg.goal)}"
 
     def _land(self, place: F64, order: Order, motion: Motion, now_ns: int) -> str:
-        """Fly over the site or land on it, and report its target to the autopilot; return the action in words."""
+        """Fly over the site at `place`, (3,) metres, or land on it; report the landing target; return the action."""
         site = self._leg(place, motion, now_ns)
         goal = self._report(site, now_ns)
         over = np.array([*place[:2], motion.world_from_body.translation[2] if order.height is None else order.height])
@@ -241,7 +246,7 @@ class OrderSender:
         return above is not None and above > self._vehicle.firmware.high_site
 
     def _report(self, site: _Leg | None, now_ns: int) -> Place | None:
-        """Report the landing target, even before LAND; return its position, None if it is unknown now.
+        """Report the site, the end of a leg, as landing target, even before LAND; return its position, None if unknown.
 
         ArduPilot needs reports from two seconds before LAND on; without them it stops the descent.
         """
@@ -251,7 +256,7 @@ class OrderSender:
         return site.goal if self._commands.land_on(now_ns, site.way, attitude) else None
 
     def _leg(self, to: F64, motion: Motion, now_ns: int) -> _Leg | None:
-        """Return the path to a target; None: the autopilot's position is unknown, or a position is impossible.
+        """Return the path to `to`, (3,) metres; None: the autopilot's position is unknown, or a position is impossible.
 
         If the autopilot's newest positions are late, the path begins at the position of the exposure.
         """

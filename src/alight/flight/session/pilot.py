@@ -43,7 +43,7 @@ class LandingLog:
         """Log a new entry of the diary."""
 
     def note(self, lane: str, words: str) -> None:
-        """Log a note on the cameras, the autopilot or a lane."""
+        """Log a note, in words, on `lane`: the name of a lane, `cameras` or `autopilot`."""
 
 
 class SessionLog(LandingLog):
@@ -108,7 +108,7 @@ class PilotView:
 
     t: float  # s since the landing began
     state: FlightState
-    order: str
+    order: str  # action, in words
     situation: Situation
     target: Site | None = None  # visited location, in the map frame
     height: float | None = None  # metres above that location, or above the ground
@@ -202,7 +202,7 @@ class LandingPilot:
             self._measure("image to set-point", located.t_ns, now_ns)
 
     def _measure(self, name: str, t_ns: int, now_ns: int) -> None:
-        """Record the delay in s from an exposure to the first order that uses its verdict or its motion."""
+        """Record as `name` the delay, s, from the exposure `t_ns` to the first order (`now_ns`) based on it."""
         if t_ns > self._led[name]:
             self._led[name] = t_ns
             self.delays[name].append((now_ns - t_ns) * 1e-9)
@@ -225,7 +225,10 @@ class LandingPilot:
 
 
 def look_picture(look: LookRecord, seen: MapVerdict, reach: float = 5.0, size: int = 200) -> LookPicture:
-    """Return the picture and P(safe) of the ground at a look: `reach` metres to each side, `size` pixels wide."""
+    """Return the picture and P(safe) of the ground at a look, by the verdict `seen` after it.
+
+    The picture reaches `reach` metres to each side, and is `size` pixels wide and high.
+    """
     cell, (east, north, _) = 2 * reach / size, look.place
     edge = reach - cell / 2  # the middle of the first pixel
     shown = Grid(east - edge, north + edge, cell, size, size)

@@ -49,6 +49,7 @@ def judge_vehicle(
     """Check the autopilot by its telemetry: clock, streams, position, home, battery, wind, and whether it flies.
 
     Args:
+        settings: settings of the landing, for the limits of battery, wind and height.
         missing: reason why the vehicle gives no GPS/INS; empty: it gives GPS/INS.
         take_off, dry, home_given: whether the landing begins with a take-off, is a dry run, and has a given home.
     """
@@ -148,7 +149,11 @@ def _wind(now: Telemetry, most: float) -> CheckResult:
 
 
 def _place(now: Telemetry, take_off: bool, dry: bool, least: float) -> CheckResult:
-    """Check that the vehicle is ready to take off, or flies at least `least` metres above home."""
+    """Check that the vehicle may be armed for a take-off, or flies at least `least` metres above home.
+
+    Args:
+        take_off, dry: see `judge_vehicle`; in a dry run, a vehicle on the ground gives only a warning.
+    """
     above = "" if now.place is None else f", {now.place.above_home:.0f} m above home"
     if now.landed is Landed.GROUND or not now.armed:
         if take_off and now.ready and now.checks_off:
@@ -195,7 +200,10 @@ def judge_cameras(frames: int, rate: float, delay: float, frozen: int) -> CheckR
 
 
 def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, record: bool) -> list[CheckResult]:
-    """Check that the loops are compiled (`warm`), and the disk has room for `seconds` s at `rate` exposures/s."""
+    """Check that the loops are compiled (`warm`), and that the folder `out` has room for the recording (if `record`).
+
+    The recording has exposures of the cameras of `rig` at `rate` per second, for `seconds` seconds.
+    """
     mend = "run 'alight warmup' once; it takes minutes"
     loops = good("loops", "compiled") if warm else bad("loops", "not compiled on this machine yet", mend)
     free = shutil.disk_usage(out).free * 1e-6

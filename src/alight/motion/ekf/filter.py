@@ -51,7 +51,7 @@ class FilterMemory:
     visual: VisualUpdate
     health: Health
     state: FilterState | None = None
-    predicted: Step | None = None  # the state as last predicted: the first estimate, where Jacobians are taken
+    predicted: Step | None = None  # pose and velocity as last predicted, before updates: Jacobians are taken here
     inertial: bool = False  # whether an IMU drives the motion
     nav_sigma: F64 = field(default_factory=lambda: np.ones(9))  # (9,) 1-sigma of the last GPS/INS row
     last_exposure_ns: int = NEVER_NS
@@ -184,7 +184,7 @@ class MotionFilter:
     # -- out of sequence -------------------------------------------------------------------------------------------
 
     def _time_of(self, event: NavSample | Tracks) -> int:
-        """Return the time of an event on the clock of GPS/INS, ns."""
+        """Return the time of an event on the clock of GPS/INS, ns; for tracks, by the estimated time offset."""
         state = self._memory.state
         return event.t_ns if isinstance(event, NavSample) or state is None else instant(event.t_ns, state.core)
 
@@ -259,7 +259,7 @@ class MotionFilter:
         return motion
 
     def _course(self, tracks: Tracks) -> CourseAttitude | None:
-        """Return the attitude from course and images if GPS gives none, initially and between photos; else None."""
+        """Return the attitude by course and images if GPS gives none, at the start and between photos; else None."""
         m, nav = self._memory, self._memory.last_nav
         if nav is None or nav.position_world is None or nav.world_from_body is not None:
             return None
@@ -278,7 +278,7 @@ class MotionFilter:
     # -- time ------------------------------------------------------------------------------------------------------
 
     def _start(self, sample: NavSample, sigma: F64) -> bool:
-        """Initialise the state from a GPS/INS row, 1-sigma `sigma` (9,); return False without position or attitude."""
+        """Initialise the state from a row of 1-sigma `sigma` (9,); return False if it lacks position or attitude."""
         m, state = self._memory, initial_state(sample, sigma, self._settings)
         if state is None:
             return False
@@ -302,7 +302,7 @@ class MotionFilter:
         return True
 
     def _start_over(self, state: FilterState, sample: NavSample, sigma: F64) -> None:
-        """Initialise the diverged state again from a GPS/INS row, unless the row itself is just as uncertain."""
+        """Initialise the diverged state again from a row of 1-sigma `sigma` (9,), unless the row is as uncertain."""
         fresh = initial_state(sample, sigma, self._settings)
         if fresh is None or not (is_diverged(fresh) and np.isfinite(state.core).all()):
             self._start(sample, sigma)
@@ -319,7 +319,7 @@ class MotionFilter:
             state.P[part, part] = np.eye(3) * sigma**2
 
     def _propagate(self, state: FilterState, t_ns: int) -> None:
-        """Propagate the state to a later time (M8-M10)."""
+        """Propagate the state to a later time `t_ns`, in place (M8-M10)."""
         m, dt, s = self._memory, (t_ns - state.t_ns) * 1e-9, self._settings
         if dt <= 0 or m.predicted is None:
             return
@@ -366,7 +366,7 @@ class MotionFilter:
         return {z.quantity for z, good in zip(rows, passed, strict=True) if good}
 
     def _accept_jump(self, state: FilterState, position: F64) -> None:
-        """Assign a jump of the GPS/INS `position` to its slow error, so that the estimated position does not move."""
+        """Assign a jump of the GPS/INS `position` (3,) to its slow error, so that the estimate does not move."""
         expected = state.core[AT.pos] + state.core[AT.offset]
         log.warning("GPS/INS position jumped by %.1f m", np.linalg.norm(position - expected - state.core[AT.nav_pos]))
         state.core[AT.nav_pos] = position - expected

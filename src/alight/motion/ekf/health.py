@@ -28,13 +28,16 @@ _MAX_TILT_SIGMA, _MAX_VELOCITY_SIGMA = 0.2, 20.0  # rad, m/s; above these the st
 class GateCounts:
     """Numbers of features of one exposure that passed and failed their gates."""
 
-    passed: int = 0  # landmarks, and tracks used in this exposure, that passed
+    passed: int = 0  # number of features that passed: landmarks, and tracks used in this exposure
     failed: int = 0
     innovation: float = 0.0  # mean squared distance per row of the features that passed, 1 expected; 0: none passed
 
     @classmethod
     def of(cls, tried: Mask, passed: Mask, distance: F64, rows: I64) -> GateCounts:
-        """Count the features tried and passed, given their squared Mahalanobis distances and numbers of rows (N,)."""
+        """Count the features that passed and failed.
+
+        `tried`, `passed`: (N,) masks. `distance`: (N,) squared Mahalanobis distances. `rows`: (N,) numbers of rows.
+        """
         mean = float(distance[passed].sum() / max(rows[passed].sum(), 1))
         return cls(int(passed.sum()), int((tried & ~passed).sum()), mean)
 
@@ -83,7 +86,7 @@ class Health:
         return (t_ns - self._gps_rejected_since) * 1e-9 if self._gps_rejections else 0.0
 
     def on_exposure(self, t_ns: int, counts: GateCounts) -> bool:
-        """Record one exposure; return whether observations contradicted the state so often that it must be wrong."""
+        """Record one exposure; return whether the last exposures' observations show that the state must be wrong."""
         self._interval = max((t_ns - self._exposure_ns) * 1e-9, 0.0)
         self._exposure_ns = t_ns
         self._start_ns = t_ns if self._start_ns == NEVER_NS else self._start_ns

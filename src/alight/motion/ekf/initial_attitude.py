@@ -30,7 +30,7 @@ class CourseAttitude:
     sigma: F64  # (3,) rad about east, north, up
 
     def row(self, nav: NavSample, t_ns: int) -> NavSample:
-        """Return a GPS row with this attitude and the time `t_ns`."""
+        """Return a copy of the row `nav` with this attitude and the stamp `t_ns`."""
         about_body = np.sqrt((self.R.T**2) @ self.sigma**2)
         return replace(nav, t_ns=t_ns, world_from_body=self.R, sigma_attitude=about_body)
 
@@ -43,7 +43,7 @@ class PositionedExposure:
     nav: NavSample
 
     def course_to(self, now: PositionedExposure, cam: Pose, settings: FilterSettings) -> CourseAttitude | None:
-        """Return the attitude at the later exposure `now` by the course, if determined; `cam` is body_from_cam."""
+        """Return the attitude at a later exposure, `now`, by the course; None if undetermined. `cam`: body_from_cam."""
         assert self.nav.position_world is not None
         assert now.nav.position_world is not None
         way = (now.nav.position_world - self.nav.position_world)[:2]

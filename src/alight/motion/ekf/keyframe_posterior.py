@@ -27,7 +27,7 @@ class CloneWindow:
     The posterior follows from this record alone; it is computed only for the few exposures that become keyframes.
     """
 
-    clones: Clones  # K
+    clones: Clones  # K clones
     P: F64  # (6K, 6K) joint covariance of the clones, (rotation, position) per pose
     offset_cross: F64  # (6K, 3) cross covariance of the clones with the offset of the map
     offset: F64  # (3,) m
@@ -43,7 +43,7 @@ class CloneWindow:
         cls, state: FilterState, unused: WindowObservations, cams: Sequence[Pose], settings: FilterSettings,
         frame_id: int = 0,
     ) -> CloneWindow:  # fmt: skip
-        """Copy the clones, mounting and map offset of a state, with the observations `unused` so far."""
+        """Copy the clones, mounting and map offset of a state, with its `unused` observations; `cams`: rig_from_cam."""
         rows, at, core = state.clone_rows, AT.offset, state.core
         joint, cross, offset = (state.P[r, c].copy() for r, c in ((rows, rows), (rows, at), (at, at)))
         return cls(

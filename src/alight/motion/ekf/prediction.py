@@ -40,7 +40,7 @@ class MotionPredictor:
 
     @classmethod
     def of(cls, state: FilterState, cams: tuple[Pose, ...], inertial: bool, noise: FilterSettings) -> MotionPredictor:
-        """Copy the part of a state that a prediction needs."""
+        """Copy the part of a state that a prediction needs; see the fields for `cams`, `inertial` and `noise`."""
         last = state.clones.select(range(len(state.clones))[-1:])
         rows = np.concatenate([np.arange(state.landmark_start - CLONE, state.landmark_start), _CORE])
         P = state.P[rows[:, None], rows]
@@ -49,7 +49,7 @@ class MotionPredictor:
         return cls(state.t_ns, state.R, state.core.copy(), last, P, cams, inertial, noise)
 
     def cameras(self, stamp_ns: int, before_ns: int | None, imu: ImuBuffer) -> Prediction:
-        """Predict the cameras at the exposure stamped `stamp_ns`, relative to the exposure stamped `before_ns`.
+        """Predict the cameras at the exposure stamped `stamp_ns`, relative to exposure `before_ns` (a stamp, or None).
 
         For an exposure before the state's time, the cameras are predicted at the state's time. The prediction has no
         earlier poses if the exposure `before_ns` is no longer held.
@@ -71,7 +71,7 @@ class MotionPredictor:
         return propagate(here, self.core[AT.gyro], m, (t_ns - self.t_ns) * 1e-9, self.noise)
 
     def _at_exposure(self, stamp_ns: int, t_ns: int, imu: ImuBuffer) -> MotionPredictor:
-        """Return the predictor propagated to an exposure that the state has not processed yet, which becomes `last`."""
+        """Return the predictor propagated to the time `t_ns` of a new exposure, `stamp_ns`, which becomes `last`."""
         after, F, Q = self._propagated(t_ns, imu)
         core, P = self.core.copy(), self.P.copy()
         core[AT.pos], core[AT.vel] = after.position, after.velocity

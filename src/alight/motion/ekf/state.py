@@ -152,7 +152,7 @@ class FilterState:
         self.clones = self.clones.select([i for i in range(len(self.clones)) if i not in set(clones)])
 
     def correct(self, residual: F64, H: F64, columns: slice | I64) -> None:
-        """Update the state by a measurement `residual = H error[columns] + unit noise`, H (m, len(columns))."""
+        """Update the state by a measurement (m,), residual = H error[columns] + unit noise; H (m, len(columns))."""
         HP = H @ self.P[columns]
         self.correct_by(residual, HP, HP[:, columns] @ H.T)
 

@@ -83,7 +83,7 @@ class VisualUpdate:
         return counts + self._initialise_landmarks(state)
 
     def _relinearise_if_stale(self, state: FilterState, t_ns: int) -> None:
-        """Reset the update if the oldest clone turned too far; between photos, renew the first estimates instead."""
+        """Reset if the oldest clone's attitude left its first estimate; between photos, renew the first estimates."""
         w, q, least = state.clones, state.landmarks, 1.0 + 2.0 * np.cos(_MAX_LINEARISATION_ERROR)
         stale = len(w) > 0 and float((w.R[0] * w.first_R[0]).sum()) < least
         if stale and (t_ns - w.stamps[-1]) * 1e-9 > MAX_RATE_AGE:
@@ -100,7 +100,10 @@ class VisualUpdate:
         return [0] if len(p) >= self._settings.clones else []
 
     def _update_from_lost_tracks(self, state: FilterState, ids: I64, dropped: list[int]) -> GateCounts:
-        """Update the poses by tracks that are not in `ids` any more, or whose first clone is about to be `dropped`."""
+        """Update the poses by tracks that ended.
+
+        A track ends if its id is not among the exposure's `ids`, or if its first clone is in `dropped` (indices).
+        """
         unused = self._unused
         if not len(unused.ids):
             return GateCounts()
@@ -126,7 +129,10 @@ class VisualUpdate:
         return GateCounts.of(well_known, passed, distance, freedom)
 
     def _update_landmarks(self, state: FilterState, ids: I64, normalised: F64, sigma: F64) -> GateCounts:
-        """Update the state by the landmarks among the exposure's features, whose `ids` (M,) are ascending (M11)."""
+        """Update the state by the landmarks among the exposure's features (M11).
+
+        `ids`: (M,) ascending. `normalised`: (M, C, 2) coordinates in C cameras, NaN = not observed. `sigma`: (M,).
+        """
         column = positions(ids, state.landmarks.ids)
         index = np.flatnonzero(column >= 0)
         if not len(index):

@@ -58,7 +58,7 @@ def smooth_flight(recording: RecordedFlight) -> RefinedMotions:
 class _NavRow:
     """One row of GPS/INS, with the exposure before it, the preintegral up to it, and its errors."""
 
-    k: int  # index of that exposure
+    k: int  # index of the exposure before the row
     dt: float  # s from that exposure to the row
     preintegral: Preintegral | None  # None: without IMU
     sample: NavSample
@@ -155,7 +155,7 @@ class _Batch:
         return system
 
     def _step(self, system: BlockTridiagonal, linear: LinearisedSegments) -> F64:
-        """Solve for the step of the unknowns, (K, 24); apply it to them and to the points, and return it."""
+        """Return the step of the unknowns, (K, 24), after it was applied to them and to the points of `linear`."""
         step = system.solution().reshape(-1, _SIZE)[: len(self._t)]
         linear.move_points(step[:, :_POSE])
         self._R = so3_exp(step[:, AT.att]) @ self._R
@@ -241,7 +241,7 @@ class _Batch:
 
     @staticmethod
     def _add_row(system: BlockTridiagonal, k: int, J: F64, e: F64, variance: F64) -> None:
-        """Add a quantity of GPS/INS at exposure k, with residual e (3,), Jacobian J (3, 24) and variance (3,)."""
+        """Add a quantity of GPS/INS at exposure `k`: Jacobian `J` (3, 24), residual `e` (3,) and its variance (3,)."""
         W = cauchy((e**2 / variance).sum(keepdims=True), _NAV_SCALE)[0] / variance
         system.add(np.arange(_SIZE) + k * _SIZE, (J.T * W) @ J, J.T @ (W * e))
 
@@ -259,7 +259,7 @@ class _Batch:
 
 
 def _nav_sigmas(nav: Sequence[NavSample], times: Sequence[int], settings: FilterSettings) -> F64:
-    """Return the (K, 9) 1-sigma of GPS/INS at each time, from the last row that holds the quantity, else the first."""
+    """Return the (K, 9) 1-sigma of GPS/INS at `times` (K,), ns, from the last row with a quantity, else the first."""
     if not nav:
         return np.ones((len(times), 9))
     out = np.tile(sigmas(nav[0], settings), (len(times), 1))

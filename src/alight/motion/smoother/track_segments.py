@@ -19,7 +19,7 @@ _POINT_PRIOR = 1e-4  # 1/m^2 on the diagonal of a point's information: fixes poi
 
 
 def in_camera(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> F64:
-    """Return world points `x` (N, 3) in the frame of a camera, for one rig pose `R` (N, 3, 3), `p` (N, 3) per point."""
+    """Return world points `x` (N, 3) in the frame of a camera; `R` (N, 3, 3), `p` (N, 3): rig pose for each point."""
     return np.asarray((((x - p)[:, None] @ R)[:, 0] - rig_from_cam.translation) @ rig_from_cam.rotation)
 
 
@@ -71,7 +71,10 @@ class TrackSegments:
         self._cams = cams
 
     def _by_camera(self, R: F64, p: F64) -> list[tuple[NDArray[np.intp], F64, F64, Pose]]:
-        """Return, for each camera, its observations' indices (N,), rig poses (N, 3, 3), (N, 3), and rig_from_cam."""
+        """Return, for each camera, its observations' indices (N,), their rig poses (N, 3, 3), (N, 3), and rig_from_cam.
+
+        `R`, `p`: (K, 3, 3), (K, 3) world_from_rig of all exposures.
+        """
         out = []
         for i, cam in enumerate(self._cams):
             index = np.flatnonzero(self.cam == i)
@@ -88,7 +91,7 @@ class TrackSegments:
         self.points = triangulate_rays(self.starts, rays, origins, np.ones(len(self.cam)))
 
     def residuals(self, R: F64, p: F64) -> F64:
-        """Return the residuals (M, 2), observed less predicted; NaN where a point lies behind the camera."""
+        """Return (M, 2) residuals, observed less predicted, at K rig poses `R`, `p`; NaN: a point behind the camera."""
         out = np.full((len(self.cam), 2), np.nan)
         for index, R_rig, p_rig, cam in self._by_camera(R, p):
             q = in_camera(R_rig, p_rig, cam, self.points[self.segment[index]])
@@ -97,7 +100,7 @@ class TrackSegments:
         return out
 
     def reweigh(self, R: F64, p: F64) -> float:
-        """Set the weights of the Cauchy cost and return the rms of the weighted residuals, in sigmas."""
+        """Set the weights of the Cauchy cost at K rig poses `R`, `p`; return the weighted residuals' rms, in sigmas."""
         # weights are multiplied by the mean of their segment, because a point that moves is wrong as a whole. The scale
         # follows the median residual down to two sigmas, so that poor initial poses do not look like bad observations
         e = self.residuals(R, p) / self.sigma[:, None]
@@ -113,7 +116,8 @@ class TrackSegments:
     def median_misfit(self, R: F64, p: F64) -> float:
         """Return the median over segments of the squared residual (in sigmas) per degree of freedom; 0 if none exist.
 
-        Segments with a point behind a camera rank last; if most are such, the largest value of the others is returned.
+        `R`, `p`: K rig poses. Segments with a point behind a camera rank last; if most are such, the
+        largest value of the others is returned.
         """
         square = ((self.residuals(R, p) / self.sigma[:, None]) ** 2).sum(axis=1)
         freedom = np.maximum(2 * np.diff(self.starts) - 3, 1)
@@ -176,7 +180,10 @@ class LinearisedSegments:
 
 
 def _segment_of(exposure: I64, ids: I64, span: int) -> I64:
-    """Return the segment number of each observation: tracks are cut every `span` exposures from their first one."""
+    """Return the segment number of each observation (M,): tracks are cut every `span` exposures from their first one.
+
+    `exposure`, `ids`: (M,) index of the exposure and id of the feature.
+    """
     if not len(ids):
         return np.zeros(0, np.int64)
     _, feature = np.unique(ids, return_inverse=True)

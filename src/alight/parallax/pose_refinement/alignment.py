@@ -177,7 +177,10 @@ class Alignment:
         return prior.corrected(across @ whitened, follow @ after @ follow.T), prior.plane + x[:PLANE]
 
     def _cells(self, grid: Grid, known: ElevationMap, old: Mask, ground: float, drop: float) -> RefinementCells:
-        """Return sampled cells: trusted ones tied to the map's heights, unseen or `old` ones with free heights."""
+        """Return sampled cells: trusted cells tied to the map's heights, unseen or `old` cells with free heights.
+
+        `ground`: height of the ground. `drop`: height of the camera above the ground. Both in metres.
+        """
         every, (xs, ys) = max(1, round((grid.rows * grid.cols / self.tuning.cells) ** 0.5)), grid.xy()
         some = slice(every // 2, None, every), slice(every // 2, None, every)
         height, sigma, flags, other = known.height[some], known.sigma[some], known.flags[some], old[some]
@@ -208,7 +211,10 @@ class Alignment:
 
 
 def _linearisations(state: PoseGaussian, drop: float, cell: float, tuning: PoseRefinementTuning) -> tuple[int, ...]:
-    """Return the picture halvings per linearisation: one without halving; several if the newest pose is uncertain."""
+    """Return how often pictures are halved at each linearisation: (0,), or several if the newest pose is uncertain.
+
+    `drop`: height of the camera above the ground, metres. `cell`: cell size, metres.
+    """
     P, n = state.covariance, len(state.covariance) - POSE
     own = np.diag(P[n:, n:] - regress_on(P[:n, :n], P[:n, n:]) @ P[:n, n:])  # given all other exposures
     v = np.maximum(own, 0.0)
@@ -221,7 +227,7 @@ def _linearisations(state: PoseGaussian, drop: float, cell: float, tuning: PoseR
 def _following(seen: F64, rows: NDArray[np.int64], size: int, share: float) -> F64:
     """Return the transition of all errors if the next step takes `share` of its heights from these poses (eq. 24).
 
-    `seen` is the matrix of the normal equations of plane and poses, `rows` are their indices among all `size` errors.
+    `seen`: matrix of the normal equations of plane and poses. `rows`: their indices among all `size` errors.
     """
     out = np.eye(size)
     out[:PLANE, :PLANE] *= 1 - share
@@ -235,8 +241,8 @@ def _information(
 ) -> tuple[F64, F64]:  # fmt: skip
     """Return the normal equations A (M, M) and b (M,) at one linearisation, M = 3 + 6E for E exposures.
 
-    `owner` (N,) is the index of each view's exposure, `poses` are world_from_body of the exposures, and `plane` (3,) is
-    the error of the map's plane, added to the heights.
+    `owner`: (N,) index of each view's exposure. `poses`: world_from_body of the exposures. `plane`: (3,) error of the
+    map's plane, added to the heights. `held`: arrays to reuse.
     """
     height = ground.height + plane_on(ground.xs, ground.ys, plane, ground.about)
     s = _crosses(views, ground, height, held)
@@ -256,7 +262,10 @@ def _information(
 
 
 def _crosses(views: list[Prepared], ground: RefinementCells, height: F32, held: Buffers) -> F32:
-    """Return samples (N, 5, R, C) at the cells and `ground.arm` metres east, west, north and south of them."""
+    """Return samples (N, 5, R, C) at the cells and `ground.arm` metres east, west, north and south of them.
+
+    `height`: (R, C) heights of the cells, metres. `held`: arrays to reuse.
+    """
     n, (rows, cols), a = len(views), height.shape, ground.arm
     out = held.get("crosses", (n, 5, rows, cols))
     xs, ys, level = ground.xs, ground.ys, np.tile(height, (3, 1))
@@ -269,7 +278,7 @@ def _crosses(views: list[Prepared], ground: RefinementCells, height: F32, held: 
 
 
 def _precision(samples: F32, weights: F32, mean: F32, tuning: PoseRefinementTuning) -> F64:
-    """Return the (N,) inverse variance of each view's samples about the template `mean`; 0 if there are too few."""
+    """Return the (N,) inverse variance of each view's samples (N, R, C) about the template `mean`; 0 if too few."""
     e = np.where(weights > 0, samples - mean, np.float32(0))
     total = weights.sum(axis=(1, 2), dtype=np.float64)
     enough = (weights > 0).sum(axis=(1, 2)) >= tuning.least_cells

@@ -149,7 +149,7 @@ def solve_bundle(
 
 
 def _pixel_sigmas(residual: F64, by_patch: Mask) -> F64:
-    """Return the 1-sigma (N,) in px of residuals (N, 2): one value for all features, and one for all patches.
+    """Return the 1-sigma (N,) in px of residuals (N, 2): one value where `by_patch` is True, and one elsewhere.
 
     A lower limit allows for errors that are correlated.
     """
@@ -160,7 +160,7 @@ def _pixel_sigmas(residual: F64, by_patch: Mask) -> F64:
 
 
 def _of_no_height(joint: F64, tags: F64) -> F64:
-    """Return `joint` with an error added that all heights share, as large as the scatter of the altitude tags (n,)."""
+    """Return the covariance `joint` plus a height error that all photos share: the scatter of altitude `tags` (n,)."""
     joint, up = joint.copy(), 6 * np.arange(len(tags)) + 2
     joint[np.ix_(up, up)] += float(np.nanmean((tags - np.nanmedian(tags)) ** 2))
     return joint
@@ -256,7 +256,7 @@ def joint_of(motions: list[Motion], priors: Priors, solved: Solved) -> KeyframeP
 
 
 def _moved(rows: F64, move: F64, sigma: F64) -> F64:
-    """Return rows of a joint covariance, pose rows multiplied by `move` (k, 6, 6), lens rows divided by `sigma`."""
+    """Return rows of a joint covariance, pose rows multiplied by `move` (k, 6, 6) and lens rows divided by `sigma`."""
     n = 6 * len(move)
     poses = np.matmul(move, rows[:n].reshape(len(move), 6, -1)).reshape(n, -1)
     return np.concatenate([poses, rows[n:] / sigma[:, None]])

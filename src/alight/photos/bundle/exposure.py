@@ -50,7 +50,7 @@ def exposure_gains(features: Sequence[PhotoFeatures], obs: BundleObservations) -
 
 
 def _of(obs: BundleObservations, rows: Mask, value: F64) -> tuple[BundleObservations, F64]:
-    """Return the observations for which `rows` is True, and their values, without points left with one photo."""
+    """Return observations and their rows of `value` (N, 3) where `rows` is True, without points left with one photo."""
     rows = rows & (np.bincount(obs.point[rows], minlength=obs.points)[obs.point] >= 2)
     return obs.keep(rows)[0], value[rows]
 
@@ -61,7 +61,7 @@ def _means(obs: BundleObservations, value: F64) -> F64:
 
 
 def _solved(obs: BundleObservations, value: F64, photos: int) -> F64:
-    """Return the logarithms (n, 3) of the factors that fit the logarithms `value` (N, 3) of the observed colours."""
+    """Return the logarithms (n, 3) of factors for n = `photos` photos from the logarithms `value` (N, 3) of colours."""
     if not len(value):
         return np.zeros((photos, 3))
     count, each = np.bincount(obs.photo, minlength=photos), np.bincount(obs.point)

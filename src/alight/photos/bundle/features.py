@@ -87,7 +87,7 @@ def shrunk(image: Pixels, longest: float) -> U8:
 
 
 def blurred_octaves(grey: U8, blurred: float, octaves: int) -> Iterator[F32]:
-    """Yield the blurred pictures (`LAYERS` + 3, R, C) of each octave; `blurred`: sigma of the blur in `grey`, px."""
+    """Yield the blurred pictures (`LAYERS` + 3, R, C) of at most `octaves` octaves; `blurred`: sigma (px) in `grey`."""
     step = 2.0 ** (1.0 / LAYERS)
     weights = np.array([0.25, 0.75, 0.0])  # of pixels, to sample every other pixel of a doubled picture
     between = cv2.sepFilter2D(grey.astype(np.float32), -1, weights, weights)
@@ -130,9 +130,10 @@ def keypoints(found: F64) -> list[cv2.KeyPoint]:
 
 
 def extract(image: Pixels | None, settings: BundleSettings) -> PhotoFeatures:
-    """Extract the largest SIFT features of one photo, which match twice as often as those of the highest contrast.
+    """Extract the largest SIFT features of one photo; an image that is None has no features.
 
-    If a small or dull picture has too few, features of the doubled picture are added, at four times the cost.
+    The largest features match twice as often as the features of highest contrast. If a small or dull picture has too
+    few, features of the doubled picture are added, at four times the cost.
     """
     picture = np.zeros((16, 16), np.uint8) if image is None else np.asarray(image)
     read = shrunk(picture, settings.image_px)

@@ -149,7 +149,8 @@ def check_heights(score: FocalScore, up: F64, above: F64, ground: F64) -> Height
 def _take_off(relative: float, sigma: float, ground: F64, high: float) -> F64:
     """Return the likelihood of each of `RATIOS`, 1/m, if take-off was on the ground or on its extrapolated slope.
 
-    The height of take-off has a prior: with weight 3/4 uniform over that range, with weight 1/4 like the ground.
+    The prior of the height of take-off is uniform over the heights of the slope with weight 3/4, and the distribution
+    of the heights of `ground` with weight 1/4.
 
     Args:
         relative, sigma: metres, height of the cameras above take-off by the tags, and its 1-sigma.

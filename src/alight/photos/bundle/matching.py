@@ -50,7 +50,7 @@ class BundleObservations:
         return np.flatnonzero(np.diff(self.point, prepend=-1))
 
     def without(self, photos: I64) -> BundleObservations:
-        """Return the observations of all but the given photos."""
+        """Return the observations of all photos except those with the indices `photos`."""
         return self.keep(~np.isin(self.photo, photos))[0]
 
     @property
@@ -59,7 +59,7 @@ class BundleObservations:
         return int(self.point[-1]) + 1 if len(self.point) else 0
 
     def keep(self, rows: Mask) -> tuple[BundleObservations, I64]:
-        """Keep the rows where `rows` is True, drop points left with one photo; also return the points' old indices."""
+        """Return the rows where `rows` is True, except points left with one photo, and the kept points' old indices."""
         count = np.bincount(self.point[rows], minlength=self.points)
         rows = rows & (count[self.point] >= 2)
         old, point = np.unique(self.point[rows], return_inverse=True)
@@ -116,7 +116,10 @@ def match_descriptors(a: F32, b: F32) -> I64:
 def verify(
     cameras: tuple[Camera, Camera], a: PhotoFeatures, b: PhotoFeatures, matches: I64, least: int
 ) -> tuple[I64, F64, F64] | None:
-    """Return inliers (M, 2), rotation and direction (see `Pair`) of a two-view geometry; None below `least` inliers."""
+    """Return inliers of `matches` (M, 2), rotation and direction (see `Pair`) by two-view geometry of photos `a`, `b`.
+
+    None if there are fewer than `least` inliers.
+    """
     if len(matches) < least:
         return None
     pc, one, other = colmap(), *(colmap_camera(c) for c in cameras)

@@ -102,7 +102,10 @@ def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
 
 
 def _fill_missing(centres: F64, pairs: Sequence[Pair]) -> F64:
-    """Return `centres` with missing positions filled by the mean position of matched photos, weighted by matches."""
+    """Return the positions `centres` (n, 3), with missing ones (NaN) filled from matched photos.
+
+    A missing position becomes the mean position of matched photos, weighted by matches; without any, it becomes 0.
+    """
     out = centres.copy()
     for _ in range(len(centres)):
         missing = np.flatnonzero(~np.isfinite(out).all(axis=1))
@@ -131,7 +134,7 @@ def components(count: int, pairs: Sequence[Pair]) -> list[I64]:
 
 
 def _median_rotation(rotations: F64, start: F64) -> F64:
-    """Return the geometric median (3, 3) of rotations (k, 3, 3) by Weiszfeld steps from `start`."""
+    """Return the geometric median (3, 3) of rotations (k, 3, 3) by Weiszfeld steps from the rotation `start`."""
     R = start
     for _ in range(3):
         logs = so3_log(rotations @ R.T)
@@ -141,7 +144,7 @@ def _median_rotation(rotations: F64, start: F64) -> F64:
 
 
 def average_rotations(photos: I64, pairs: Sequence[Pair]) -> F64:
-    """Return (k, 3, 3) `frame_from_cam` of one component; the frame is the first photo's camera.
+    """Return (k, 3, 3) `frame_from_cam` of the k photos of one component; the frame is the first photo's camera.
 
     The spanning tree of the pairs with most matches gives initial rotations. Then each photo takes the median of the
     rotations that its neighbours predict (L1 rotation averaging, Hartley et al. 2011 and 2013).
@@ -258,7 +261,11 @@ def _in_line(base: _Baselines) -> bool:
 
 
 def _world_from_frame(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tuple[int, ...], sigma: float) -> F64:
-    """Return `world_from_frame` by the baselines and the camera axes `axes` of the tags (k, 3, 3); `sigma` in rad."""
+    """Return the `world_from_frame` that fits best, by the baselines and by camera axes of k photos.
+
+    `tags` are `world_from_cam` (k, 3, 3) by the tags, and `frame_from_cam` is (k, 3, 3). `axes`: indices of the camera
+    axes to use, 2 is the optical axis; `sigma`: 1-sigma of an axis in rad.
+    """
     world = np.concatenate([base.world, *(tags[:, :, c] for c in axes)])
     frame = np.concatenate([base.frame, *(frame_from_cam[:, :, c] for c in axes)])
     noise = np.concatenate([base.noise, np.full(len(axes) * len(tags), sigma)])
@@ -266,7 +273,10 @@ def _world_from_frame(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tu
 
 
 def _cost(base: _Baselines, tags: F64, frame_from_cam: F64, R: F64) -> float:
-    """Return the Cauchy cost of `world_from_frame` R, over the baselines and all camera axes of the tags (k, 3, 3)."""
+    """Return the Cauchy cost of `world_from_frame` R, over the baselines and all camera axes of k photos.
+
+    `tags` are `world_from_cam` (k, 3, 3) by the tags, and `frame_from_cam` is (k, 3, 3).
+    """
     heading = _common_heading(R @ frame_from_cam, tags)
     axes = ((so3_exp([0.0, 0.0, heading]) @ tags - R @ frame_from_cam) ** 2).sum(axis=1) / _AXIS_SIGMA**2
     common = (heading / COMMON_HEADING) ** 2
@@ -274,7 +284,7 @@ def _cost(base: _Baselines, tags: F64, frame_from_cam: F64, R: F64) -> float:
 
 
 def _common_heading(world_from_cam: F64, tags: F64) -> float:
-    """Return the heading error, rad, that tags (k, 3, 3) share; 0 without tags or above `_MOST_COMMON_HEADING`."""
+    """Return the heading error (rad) common to the tags (k, 3, 3), against `world_from_cam`; 0 if none or too large."""
     if not len(tags):
         return 0.0
     off = world_from_cam @ np.swapaxes(tags, 1, 2)
@@ -285,6 +295,6 @@ def _common_heading(world_from_cam: F64, tags: F64) -> float:
 
 
 def _agree(a: F64, b: F64) -> Mask:
-    """Return a mask of rotations (k, 3, 3) that agree to `_MAX_DISAGREEMENT`; False for NaN."""
+    """Return the mask (k,) of rotations a and b (k, 3, 3) that agree to `_MAX_DISAGREEMENT`; False for NaN."""
     cosine = 0.5 * (np.einsum("kij,kij->k", a, b) - 1.0)
     return np.asarray(cosine > np.cos(_MAX_DISAGREEMENT))

@@ -93,7 +93,10 @@ def _cut(image: Pixels, pixels: F64) -> F16:
 
 
 def _find(patches: F16, image: Pixels, pixels: F64, warp: F64) -> F64:
-    """Return the shifts (K, 2) in photo pixels from `pixels` (K, 2) to where the patches are found; NaN: not found."""
+    """Return the shifts (K, 2) in photo pixels from `pixels` (K, 2) to where the patches are found; NaN: not found.
+
+    `patches` (K, R, R) are cut from each point's first photo, and `warp` (K, 2, 2) are the derivatives by `_warps`.
+    """
     grey, scale = _grey(image)
     moved, likeness = np.empty((len(pixels), 2)), np.empty(len(pixels))
     kernels.match_patches(

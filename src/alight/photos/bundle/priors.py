@@ -70,7 +70,7 @@ def make_priors(
 
 
 def _lens(camera: Camera, settings: BundleSettings) -> tuple[Camera, F64]:
-    """Return the initial camera and the sigmas of its parameters; a free lens without a distortion model gets one."""
+    """Return the initial camera and the sigmas of its parameters; a free lens without distortion model gets a model."""
     if settings.lens == "free" and camera.model == "none":
         camera = replace(camera, model="radial-tangential", distortion=(0.0,) * 4)
     sigma = np.zeros(5 + len(camera.distortion))
@@ -81,7 +81,7 @@ def _lens(camera: Camera, settings: BundleSettings) -> tuple[Camera, F64]:
 
 
 def levelled(priors: Priors) -> Priors:
-    """Return the priors of a flight at one height, the median of the altitude tags."""
+    """Return the priors with all photos at one height, the median of the altitude tags."""
     centres = priors.centres.copy()
     centres[:, 2] = np.where(np.isfinite(centres[:, 2]), np.nanmedian(centres[:, 2]), np.nan)
     return replace(priors, centres=centres)

@@ -76,10 +76,11 @@ def _lens_rounds(state: BundleState, obs: BundleObservations, priors: Priors) ->
 
 
 def _by_rows(first: BundleState, obs: BundleObservations, priors: Priors) -> tuple[BundleState, Priors]:
-    """Do the rounds with a free lens, and choose the rolling shutter: none, with translation, or also with rotation.
+    """Do the rounds with a free lens from the state `first`, and choose the rolling shutter; return state and priors.
 
-    A readout that moves rows by less than a pixel is taken as none. Rotations are used only if they lower the cost much
-    more than by chance, with a fixed readout time, because a rotation looks much like a translation over level ground.
+    The rolling shutter is none, with translation, or also with rotation. A readout that moves rows by less than a pixel
+    is treated as none. Rotations are used only if they lower the cost much more than by chance, with a fixed readout
+    time, because a rotation looks much like a translation over level ground.
     """
     state = _lens_rounds(first, obs, priors)
     lenses, photos = priors.lenses.moved(state.lens), np.unique(obs.photo)
@@ -135,7 +136,7 @@ def retriangulate(
 
 
 def misplaced(before: BundleObservations, after: BundleObservations, count: int) -> I64:
-    """Return the photos that lost a far larger share of their observations than the median photo did."""
+    """Return indices of those of `count` photos that lost a far larger share of observations than the median photo."""
     seen = np.bincount(before.photo, minlength=count)
     share = np.bincount(after.photo, minlength=count) / np.maximum(seen, 1)
     return np.flatnonzero((seen > 0) & (share < 0.5 * np.median(share[seen > 0])))

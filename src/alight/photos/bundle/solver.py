@@ -101,7 +101,7 @@ def residuals(state: BundleState, obs: BundleObservations, priors: Priors) -> F6
 
 
 def _attitude(state: BundleState, priors: Priors) -> tuple[I64, F64, F64]:
-    """Return photos with an attitude prior, residuals (k, 3) in rad, derivatives w.r.t. the mounting (eq. 5)."""
+    """Return the k photos with an attitude prior, residuals (k, 3) in rad, derivatives w.r.t. the mounting (eq. 5)."""
     who = np.flatnonzero(
         np.isfinite(priors.world_from_body).all(axis=(1, 2)) & np.isfinite(priors.sigma_rotation).all(axis=1)
     )
@@ -203,7 +203,7 @@ class Adjustment:
         return U, b
 
     def reduce(self, equations: NormalEquations, damping: float) -> Reduced:
-        """Eliminate the points from the normal equations, with a share `damping` of the diagonal added (eq. 8)."""
+        """Eliminate the points from the normal equations (eq. 8), their diagonal first multiplied by 1 + `damping`."""
         S, rhs, *blocks = (equations.U.copy(), equations.b.copy(), *equations[2:])
         S[np.diag_indices_from(S)] *= 1.0 + damping
         longest = int(np.diff(self._starts).max(initial=1))
@@ -215,7 +215,7 @@ class Adjustment:
         return Reduced(S, rhs, covariances)
 
     def step(self, state: BundleState, equations: NormalEquations, damping: float) -> BundleState:
-        """Return the state after one damped step."""
+        """Return the state after one step by the normal equations, their diagonal multiplied by 1 + `damping`."""
         S, rhs, covariances = self.reduce(equations, damping)
         S[np.diag_indices_from(S)] += 1e-12
         pose, lens, mount = np.split(solved_steps(S, rhs), [self.poses, self.poses + len(self.free)])
@@ -235,7 +235,7 @@ class Adjustment:
         )
 
     def solve(self, state: BundleState, iterations: int, tolerance: float = 1e-7) -> BundleState:
-        """Iterate (Levenberg-Marquardt) until the relative decrease of the cost is below `tolerance`."""
+        """Do up to `iterations` Levenberg-Marquardt steps, until the cost decreases by a share below `tolerance`."""
         damping, cost, equations = 1e-5, self.cost(state), self.linearise(state)
         for _ in range(iterations):
             try:

@@ -54,7 +54,7 @@ class Survey:
     above: F64  # (n,) metres above take-off by the tags; NaN: unknown or not to be compared
 
     def names(self, which: Sequence[int] | I64) -> str:
-        """Return the names of the first three of the given photos, and the number of the others."""
+        """Return the names of the first three photos with the indices `which`, and the number of the others."""
         shown = [self.frames[i].name or str(self.frames[i].t_ns) for i in which[:3]]
         return ", ".join(shown) + (f" and {len(which) - 3} more" if len(which) > 3 else "")
 
@@ -147,7 +147,7 @@ def outcomes_of(survey: Survey) -> tuple[PhotoOutcome, ...]:
 def notes_of(
     survey: Survey, state: BundleState, obs: BundleObservations, settings: BundleSettings
 ) -> dict[str, object]:
-    """Return the numbers for the report; lengths in metres, angles in rad, `_px` in pixels."""
+    """Return numbers for the report on `state` and its observations `obs`; metres and radians, `_px` in pixels."""
     solved, priors = survey.solved, survey.priors
     lenses = priors.lenses.moved(state.lens)
     camera = lenses.cameras[0]

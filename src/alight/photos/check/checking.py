@@ -39,14 +39,14 @@ def check_photos(
 
 
 def _of_reading(source: Photos) -> Iterator[CheckResult]:
-    """Yield the source's warnings as results, contradictions as faults and all others as warnings."""
+    """Yield the source's warnings as results: contradictions as faults, and all others as warnings."""
     for sentence in source.warnings:
         contradicts = sentence in source.findings.contradictions
         yield bad("reading", sentence, "remove the wrong tags") if contradicts else warning("reading", sentence, "")
 
 
 def judge_set(found: PhotoEvidence) -> CheckResult:
-    """Judge number, size and kind of the pictures, and report unused pictures."""
+    """Judge the number, size and kind of the pictures, and report unused pictures."""
     notes, used = found.source.notes, len(found.exposures)
     left_out = [p for p in found.source.photos if p.left_out]
     cameras = notes.get("cameras") or [notes["camera"]]

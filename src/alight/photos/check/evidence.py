@@ -112,7 +112,10 @@ def _middle(picture: U8, side: int = 1200) -> U8:
 
 
 def _neighbour(number: int, centres: F64) -> int | None:
-    """Return the index of the next photo (previous one for the last), or of a photo less than half as far away."""
+    """Return the index of the photo to match with photo `number`: the next one, or the one before the last photo.
+
+    A photo less than half as far away is preferred. `centres` (n, 3) are in metres, NaN: unknown. None: no other photo.
+    """
     if len(centres) < 2:
         return None
     next_one = number + 1 if number + 1 < len(centres) else number - 1

@@ -67,9 +67,10 @@ def picture_path(film: Path) -> PicturePath:
 
 
 def _motion(then: U8, now: U8, factor: int) -> tuple[complex, complex] | None:
-    """Return the camera's motion from `then` to `now` (right + 1j forward), and half its rotation (unit complex).
+    """Return the camera's motion between two pictures (right + 1j forward), and half its rotation (unit complex).
 
-    The motion is in units of an assumed focal length. None: too few features agree. `factor`: downscaling.
+    `then` and `now` are grey pictures, downscaled by `factor`. The motion is in units of an assumed focal length. None:
+    too few features agree.
     """
     height, width = (float(n * factor) for n in now.shape)
     lens = Camera(round(width), round(height), width, width, width / 2, height / 2)

@@ -41,6 +41,7 @@ class FilmTelemetry:
     source: str  # file or track that the telemetry was read from
     found: str = ""  # what was inferred while reading, in words
     of_film: bool = True  # True: the clock begins with the film, if the film was not cut
+    warning: str = ""  # what was not understood while reading, in words; empty: nothing
 
     @classmethod
     def of(cls, rows: Iterable[TelemetryRow], source: str, found: str = "", of_film: bool = True) -> FilmTelemetry:
@@ -87,7 +88,7 @@ class FilmTelemetry:
         return self._moved(replace(row, values=row.values | between), seconds)
 
     def _moved(self, row: TelemetryRow, seconds: float) -> TelemetryRow:
-        """Return a row moved to another time, with the date that follows from the first row's date."""
+        """Return `row` with the time `seconds`, and with the date that follows from the date of the first row."""
         first = self.rows[0]
         taken = None if first.taken is None else first.taken + timedelta(seconds=seconds - first.seconds)
         return replace(row, seconds=seconds, taken=taken)

@@ -37,13 +37,13 @@ def radial_lens(above: list[float], below: list[float], radius: float) -> tuple[
 
 
 def _within(rising: F64, limit: float) -> Mask:
-    """Return the mask of all samples before the first one that exceeds the limit or does not rise."""
+    """Return the mask (N,) of the samples `rising` before the first one that exceeds the limit or does not rise."""
     fine = np.diff(rising, prepend=0.0) > 0
     return np.asarray(np.logical_and.accumulate(fine & (rising <= limit)))
 
 
 def _odd_terms(x: F64, y: F64, last: int, start: int = 1) -> F64:
-    """Return the least-squares coefficients of y in x**start, x**(start + 2), ..., x**(2 last - 1)."""
+    """Return least-squares coefficients of y (N,) for the powers `start`, `start` + 2, ..., 2 `last` - 1 of x (N,)."""
     powers = np.arange(start, 2 * last, 2)
     size = x.max()
     found = np.linalg.lstsq((x[:, None] / size) ** powers, y, rcond=None)[0]

@@ -60,7 +60,7 @@ def _samples(payload: bytes) -> Iterator[tuple[F64, Mask]]:
 
 
 def _numbers(tags: dict[str, tuple[str, bytes]], key: str, count: int) -> F64:
-    """Return the (count,) numbers of the element `key`, repeated if it has fewer; zeros if it is missing."""
+    """Return the `count` numbers of the element `key`, repeated if there are fewer; zeros if it is not among `tags`."""
     kind, data = tags.get(key, ("b", b"\0"))
     row = np.dtype(_NUMBERS.get(kind, "u1"))
     whole = data[: len(data) // row.itemsize * row.itemsize]

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from PIL import ExifTags
 
 from alight.geometry import Camera
+from alight.photos.reading.calibrated_picture import calibrated_picture
 from alight.photos.reading.fitted_lens import fisheye_terms, radial_lens
 from alight.photos.reading.photo_tags import PhotoTags, finite
 from alight.records import InputError
@@ -23,6 +24,7 @@ Notes = dict[str, Any]
 Found = tuple[Camera, Notes] | None
 
 GUESSED = "a guess: no focal length in the tags"
+WIDEST = 12.0  # mm, 35 mm equivalent of the widest lens of a drone; a smaller value is the focal length itself
 MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}  # EXIF FocalPlaneResolutionUnit
 
 
@@ -49,7 +51,8 @@ def photo_camera(tags: PhotoTags, given: Claim | None = None) -> tuple[Camera, N
     """Return the camera of a photo, and notes on where its numbers come from.
 
     Sources are compared by family (see `Claim`). The source that agrees with most families is trusted; of the sources
-    that agree with it, the most exact one is used. The note `focal_warning` names the sources that disagree.
+    that agree with it, the most exact one is used. The note `focal_warning` names the sources that disagree, and
+    `focal_doubt` names what the tags leave open.
 
     Args:
         tags: tags of the photo.
@@ -63,7 +66,8 @@ def photo_camera(tags: PhotoTags, given: Claim | None = None) -> tuple[Camera, N
         raise InputError(
             f"{tags.path.name}: no focal length in its tags; give one with --set sources.calibration=PIXELS"
         )
-    used = given or _ranked(claims, tags.digital_zoom)
+    picture = calibrated_picture(tags)
+    used = given or _ranked(claims, tags.digital_zoom, picture.is_known)
     notes = used.notes | {"focal_from": used.name, "focal_px": round(used.camera.fu, 2)}
     if len(claims) > 1:
         notes["focal_sources"] = [c.words for c in claims]
@@ -74,6 +78,9 @@ def photo_camera(tags: PhotoTags, given: Claim | None = None) -> tuple[Camera, N
         notes["focal_warning"] = (
             f"{used.words} is used, a digital zoom of {tags.digital_zoom:g} counted in: unconfirmed"
         )
+    alone = {c.family for c in claims} == {"pixels"}
+    if given is None and (doubt := picture.doubt(tags.size, used.camera.fu, alone)):
+        notes["focal_doubt"] = doubt
     return used.camera, notes
 
 
@@ -108,18 +115,24 @@ def _claims(tags: PhotoTags) -> list[Claim]:
     return out
 
 
-def _ranked(claims: Sequence[Claim], zoom: float) -> Claim:
-    """Return the claim to use; `zoom` is the digital zoom in the tags.
+def _ranked(claims: Sequence[Claim], zoom: float, sized: bool) -> Claim:
+    """Return the claim to use: the most exact one that agrees with the best supported claim.
 
-    The claim that agrees with most families is chosen. If `zoom` is 1, ties go to the 35 mm equivalent, since resizing
-    does not affect it. If it exceeds all others, it is chosen in any case, because it contains a zoom that they lack.
+    The best supported claim agrees with most families. If `zoom` is 1, ties go to claims that agree with the 35 mm
+    equivalent, since resizing does not affect it. A 35 mm equivalent above all other focal lengths is then chosen in
+    any case, because it contains a zoom that the others lack.
+
+    Args:
+        claims: the claims of a photo, the most exact one first.
+        zoom: digital zoom in the tags.
+        sized: whether the size of the calibrated picture is known; if not, ties may go to the model's sensor as well.
     """
 
     def weight(c: Claim) -> tuple[bool, int, bool]:
         families = {other.family for other in claims if other.agrees(c)}
         is_film = "film" in families and zoom == 1
         zoomed = is_film and all(c.agrees(o) or c.camera.fu > o.camera.fu for o in claims)
-        return zoomed, len(families), is_film
+        return zoomed, len(families), is_film or (not sized and "model" in families)
 
     chosen = max(claims, key=weight)
     exact = next(c for c in claims if c.agrees(chosen))
@@ -150,8 +163,9 @@ def photo_readout(tags: PhotoTags) -> float | None:
     line = tags.xmp_number("camera:LineReadoutTime")  # nanoseconds per row of the sensor
     if line is None:
         return None
-    seconds = 1e-9 * line * tags.size[1] * _calibrated_width(tags) / tags.size[0]
-    return seconds if 0 <= seconds <= 0.5 else None
+    picture = calibrated_picture(tags)
+    seconds = 1e-9 * line * tags.size[1] / picture.scale
+    return seconds if 0 <= seconds <= 0.5 and not picture.turned else None
 
 
 def dewarp_text(tags: PhotoTags) -> str:
@@ -162,8 +176,9 @@ def dewarp_text(tags: PhotoTags) -> str:
 def _camera(
     tags: PhotoTags, f: float, offset: tuple[float, float] = (0, 0), lens: tuple[float, ...] = (), model: str = ""
 ) -> Camera:
-    """Build a camera from focal length, principal point relative to the image's centre (px), and distortion `lens`.
+    """Build a camera from its focal length `f` and its principal point `offset` from the image's centre, both in px.
 
+    `lens` are the distortion coefficients of `model`; an empty `model` is radial-tangential, or none if all are 0.
     Makers define the centre as (w/2, h/2) from the image's corner; here, (0, 0) is the centre of the first pixel.
     """
     w, h = tags.size
@@ -174,24 +189,9 @@ def _camera(
 # -- scale
 
 
-def _calibrated_width(tags: PhotoTags) -> float:
-    """Return the width (px) of the image that the factory calibration is for; photos may since be resized or rotated.
-
-    If picture and tags differ in aspect ratio, the picture was cropped, and the smaller possible width is returned.
-    """
-    (w, h), width = tags.size, tags.number(Base.ExifImageWidth) or tags.size[0]
-    height = tags.number(Base.ExifImageHeight) or width * h / w
-    if (w > h) != (width > height):
-        width, height = height, width
-    centre = tags.xmp_number("dji:CalibratedOpticalCenterX") or tags.xmp_number("skydio:CalibratedOpticalCenterX")
-    if centre and abs(2 * centre / width - 1) > 0.1:  # a tool resized the picture and rewrote the EXIF size
-        return 2 * centre
-    return min(width, height * w / h)
-
-
 def _scale(tags: PhotoTags) -> float:
     """Return photo pixels per pixel of the factory calibration, due to resizing and digital zoom."""
-    return tags.size[0] / _calibrated_width(tags) * tags.digital_zoom
+    return calibrated_picture(tags).scale * tags.digital_zoom
 
 
 def _pixels_a_millimetre(tags: PhotoTags) -> float | None:
@@ -220,7 +220,7 @@ def _from_dewarp(tags: PhotoTags) -> Found:
         return None
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = numbers[:9]
     if len(numbers) == 12:
-        radius = math.hypot(*tags.size) / 2 * _calibrated_width(tags) / tags.size[0] / fx
+        radius = math.hypot(*tags.size) / 2 / calibrated_picture(tags).scale / fx
         k1, k2, k3 = radial_lens([k1, k2, k3], numbers[9:], radius)
     name = "DewarpData" if tags.xmp.get("dji:DewarpData") else "DewarpDataK6"
     focal, note = _one_focal(tags, fx, fy)
@@ -228,6 +228,8 @@ def _from_dewarp(tags: PhotoTags) -> Found:
     if p1 == p2 and abs(p1) > 1e-4:  # equal in every digit: a maker's error, not a lens
         notes["lens_note"] = f"p1 and p2 are both {p1:g}, which no lens is: left out"
         p1 = p2 = 0.0
+    if calibrated_picture(tags).turned:
+        notes["lens_note"], cx, cy, p1, p2 = "turned to an unknown side: without cx, cy, p1 and p2", 0.0, 0.0, 0.0, 0.0
     lens: tuple[float, ...] = (k1, k2, p1, p2, k3)
     if tags.xmp.get("dji:DewarpFlag") == "1":
         notes["lens_note"], lens = "the drone has already removed the distortion (DewarpFlag 1)", ()
@@ -247,14 +249,12 @@ def _one_focal(tags: PhotoTags, fx: float, fy: float) -> tuple[float, Notes]:
         return (fx + fy) / 2, {}
     nominal = tags.xmp_number("dji:CalibratedFocalLength")
     if not nominal and (film := _film_focal(tags)) is not None:
-        nominal = film * _calibrated_width(tags) / tags.size[0]
+        nominal = film / calibrated_picture(tags).scale
     disagree = f"fx {fx:.1f} and fy {fy:.1f} disagree by {abs(fx / fy - 1):.1%} although pixels are square"
     if not nominal:
         return (fx + fy) / 2, {"focal_note": f"{disagree}; their mean is used"}
     chosen = min(fx, fy, key=lambda f: abs(f - nominal))
-    return chosen, {
-        "focal_note": f"{disagree}; {chosen:.1f}, nearer to the lens's design ({nominal:.1f}), is used",
-    }
+    return chosen, {"focal_note": f"{disagree}; {chosen:.1f}, nearer to the lens's design ({nominal:.1f}), is used"}
 
 
 def _from_skydio(tags: PhotoTags) -> Found:
@@ -263,10 +263,9 @@ def _from_skydio(tags: PhotoTags) -> Found:
     fx, fy, cx, cy = (tags.xmp_number(f"skydio:Calibrated{k}") for k in keys)
     if fx is None or fy is None or min(fx, fy) <= 0:
         return None
-    scale, offset = _scale(tags), (0.0, 0.0)
-    if cx is not None and cy is not None:
-        width = _calibrated_width(tags)
-        offset = cx + 0.5 - width / 2, cy + 0.5 - width * tags.size[1] / tags.size[0] / 2
+    scale, offset, picture = _scale(tags), (0.0, 0.0), calibrated_picture(tags)
+    if cx is not None and cy is not None and not picture.turned:
+        offset = cx + 0.5 - picture.width / 2, cy + 0.5 - picture.height / 2
     focal, note = _one_focal(tags, fx, fy)
     k = _comma_numbers(tags.xmp.get("skydio:DewarpData", ""))
     lens = (k[0], k[1], 0.0, 0.0, k[2]) if len(k) == 3 else ()
@@ -298,9 +297,10 @@ def _from_pix4d(tags: PhotoTags) -> Found:
 def _pix4d_offset(tags: PhotoTags) -> tuple[float, float]:
     """Return the principal point relative to the image's centre, pixels; its tag is in millimetres from the corner."""
     centre, pixels = _comma_numbers(tags.xmp.get("camera:PrincipalPoint", "")), _pixels_a_millimetre(tags)
-    if len(centre) != 2 or pixels is None:
+    (width, height, _, turned, _), scale = calibrated_picture(tags), _scale(tags)
+    if len(centre) != 2 or pixels is None or turned:
         return 0.0, 0.0
-    return centre[0] * pixels - 0.5 * tags.size[0], centre[1] * pixels - 0.5 * tags.size[1]
+    return centre[0] * pixels - 0.5 * scale * width, centre[1] * pixels - 0.5 * scale * height
 
 
 def _from_fisheye(tags: PhotoTags) -> Found:
@@ -328,8 +328,7 @@ def _from_fisheye(tags: PhotoTags) -> Found:
 
 
 def _from_calibrated(tags: PhotoTags) -> Found:
-    focal = tags.xmp_number("dji:CalibratedFocalLength")
-    return _nominal(tags, focal, _scale(tags), "CalibratedFocalLength")
+    return _nominal(tags, tags.xmp_number("dji:CalibratedFocalLength"), _scale(tags), "CalibratedFocalLength")
 
 
 def _from_sensor(tags: PhotoTags) -> Found:
@@ -342,15 +341,16 @@ def _from_film(tags: PhotoTags) -> Found:
 
 
 def _nominal(tags: PhotoTags, focal: float | None, unit: float | None, name: str) -> Found:
-    """Build a camera from a focal length in units of `unit` pixels; None if either is missing."""
+    """Build a camera from a focal length in units of `unit` pixels; `name`: its source. None if a number is missing."""
     return None if not focal or unit is None else (_camera(tags, focal * unit), {"focal_from": name})
 
 
 def _film_focal(tags: PhotoTags) -> float | None:
     film = tags.number(Base.FocalLengthIn35mmFilm)
-    if not film or film <= 0:
+    if not film or film < WIDEST:
         return None
-    shape, own = _sensor(tags)[1], max(tags.size) / min(tags.size)
+    (width, height, *_), shape = calibrated_picture(tags), _sensor(tags)[1]
+    own = max(width, height) / min(width, height)
     if shape is None:  # DJI crops wide pictures from a 4:3 sensor
         shape = 4 / 3 if tags.text(Base.Make).lower() == "dji" and own > 1.6 else own
     return film_focal_px(film, _sensor_width(tags.size, shape), shape)
@@ -393,5 +393,8 @@ def _sensors() -> list[tuple[str, str, float, str]]:
 
 
 def _sensor_width(size: tuple[int, int], shape: float) -> float:
-    """Return the width of the whole sensor in photo pixels; a photo has the sensor's full width or its full height."""
+    """Return the width of the whole sensor in pixels of a photo with `size` (width, height).
+
+    `shape` is the sensor's width over its height. A photo has the sensor's full width or its full height.
+    """
     return max(max(size), min(size) * shape)

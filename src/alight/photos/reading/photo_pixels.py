@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 
@@ -15,7 +16,7 @@ from alight.photos.reading.photo_tags import PhotoTags
 from alight.raster import grey_levels
 from alight.records import InputError
 from alight.sources.image_formats import Levels, levels_of
-from alight.sources.images import read_image
+from alight.sources.images import UNREADABLE, hidden_pixels, read_image
 
 LEVELS_OF = 24  # pictures sampled to find the range of levels of a set
 
@@ -44,9 +45,13 @@ class PictureReader:
         """Determine the range of pictures with more than eight bits, and whether to convert false colours to grey.
 
         Returns:
-            Notes on the findings: `levels`, `false_colours`; each is absent if it does not apply.
+            Notes on the findings: `levels`, `hidden`, `false_colours`; each is absent if it does not apply.
         """
         notes = dict[str, str]()
+        for photo in photos[:: -(-len(photos) // 3)]:
+            with suppress(*UNREADABLE):
+                if (mask := hidden_pixels(photo.path)) is not None:
+                    notes["hidden"] = f"{mask.mean():.1%} of {photo.path.name}"
         deep = [p.path for p in photos if p.bits > 8]
         if levels := levels_of(deep[:: -(-len(deep) // LEVELS_OF)]) if deep else None:
             self._levels = dict.fromkeys(deep, levels)

@@ -104,9 +104,12 @@ def _angles(tags: PhotoTags, pattern: str) -> tuple[float, float, float] | None:
 
 
 def position_sigma(tags: PhotoTags) -> F64:
-    """Return the 1-sigma (3,), m, east, north, up, of the position file, else of the receiver, else a GPS default."""
+    """Return the 1-sigma (3,) of a photo's position in metres, east, north, up, from the position file, else the tags.
+
+    Where none is given, it is the 1-sigma of a consumer receiver.
+    """
     if tags.settled is not None and tags.settled.sigma is not None:
-        return np.array(tags.settled.sigma)
+        return np.where(np.isfinite(tags.settled.sigma), tags.settled.sigma, GPS_SIGMA)
     own = [tags.xmp_number(f"dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
     if (fix := rtk_fix(tags)) in LEAST_SIGMA and all(s is not None and s > 0 for s in own):
         return np.asarray(np.maximum(np.array(own, dtype=np.float64), LEAST_SIGMA[fix]))

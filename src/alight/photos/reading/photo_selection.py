@@ -1,4 +1,4 @@
-"""Find the photos in a folder, and leave out thermal pictures and further spectral bands; recognise false colours."""
+"""Find photos in a folder; leave out panoramas, thermal pictures and further bands; recognise false colours."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from alight.arrays import U8
 from alight.photos.reading.photo_tags import COLOUR, Base, PhotoTags
+from alight.records import InputError
 from alight.sources.image_formats import EXTRAS, missing_extra
 
 PLAIN = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -22,6 +23,7 @@ MICROBOLOMETERS = (  # width and height of thermal sensors, pixels
     (1280, 1024), (640, 512), (640, 480), (384, 288), (336, 256), (320, 256), (320, 240), (256, 192), (160, 120),
 )  # fmt: skip
 VIVID = 30.0  # grey levels, spread of the colours about grey: photos of the ground have 4 to 21, palettes 24 to 170
+CURVE = 1.5  # cells of 16 levels that colours take, per level of spread: palettes take 0.2 to 1.5, vivid photos 2 to 10
 
 
 class FoundPhotos(NamedTuple):
@@ -51,7 +53,7 @@ def find_photos(folder: Path) -> FoundPhotos:
 
 
 def _pictures(folder: Path, depth: int, closed: list[Path]) -> Iterator[Path]:
-    """Yield the pictures in a folder, down to `depth` levels below it; folders without permission go to `closed`."""
+    """Yield the pictures in a folder, down to `depth` levels below it; append unreadable sub-folders to `closed`."""
     for path in sorted(folder.iterdir()):
         if not path.is_dir():
             if path.suffix.lower() in SUFFIXES and not path.name.startswith("."):
@@ -90,15 +92,40 @@ def without_extra(files: Sequence[Path]) -> LeftOut:
 def thermal_photos(photos: Sequence[PhotoTags]) -> LeftOut:
     """Return the thermal pictures to leave out of a set that also has other pictures.
 
-    Thermal pictures are recognised by tags or file name. A thermal sensor's picture size is evidence only next to
-    enough other pictures, because downsized photos may have that size too. A set of thermal pictures alone is kept.
+    Thermal pictures are recognised by tags or file name. A name that a user may have chosen is evidence only if all
+    pictures of its camera have such names, and another camera took pictures too. A thermal sensor's picture size is
+    evidence only next to enough other pictures, because downsized photos may have that size too. A set of thermal
+    pictures alone is kept.
     """
-    tagged = [p for p in photos if _is_tagged_thermal(p)]
-    rest = [p for p in photos if not _is_tagged_thermal(p)]
+    cameras = {p.camera for p in photos if not _is_named_thermal(p)}
+    tagged = [p for p in photos if _is_tagged_thermal(p)
+              or (cameras and p.camera not in cameras and _is_named_thermal(p))]  # fmt: skip
+    found = {p.path for p in tagged}
+    rest = [p for p in photos if p.path not in found]
     sized = [p for p in rest if _has_thermal_size(p)]
     thermal = tagged + sized if len(rest) - len(sized) >= max(3, len(sized) / 2) else tagged if rest else []
     warning = f"{len(thermal)} thermal picture(s) are left out (first: {thermal[0].path.name})" if thermal else ""
     return LeftOut({p.path: "a thermal picture" for p in thermal}, "thermal pictures", warning)
+
+
+def panoramas(photos: Sequence[PhotoTags]) -> LeftOut:
+    """Return the stitched panoramas to leave out, by their XMP tags; warn of other pictures twice as wide as high.
+
+    Raises:
+        InputError: all pictures are panoramas.
+    """
+    kinds = {p.path: kind for p in photos if (kind := p.xmp.get("gpano:ProjectionType"))}
+    wide = [p.path.name for p in photos if p.path not in kinds and p.size[0] == 2 * p.size[1]]
+    if kinds and len(kinds) == len(photos):
+        raise InputError(
+            f"{photos[0].path.parent}: all {len(photos)} pictures are panoramas ({photos[0].path.name}), which have no "
+            "focal length; give the single pictures"
+        )
+    warnings = [f"{len(kinds)} panorama(s) are left out (first: {next(iter(kinds)).name})"] if kinds else []
+    if wide:
+        warnings.append(f"{len(wide)} picture(s) are twice as wide as high, as panoramas are (first: {wide[0]})")
+    reasons = {path: f"a panorama ({kind})" for path, kind in kinds.items()}
+    return LeftOut(reasons, "panoramas", "; ".join(warnings))
 
 
 def band_to_use(photos: Sequence[PhotoTags]) -> str | None:
@@ -134,8 +161,9 @@ def other_bands(photos: Sequence[PhotoTags]) -> LeftOut:
 def false_colours(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]) -> str:
     """Return what the colours of a set show: `temperatures`, `near infrared`, or empty for true colours and for grey.
 
-    A thermal sensor's picture size is evidence only together with colours that no ground has, because downsized photos
-    may have that size too.
+    A palette gives colours that no ground has, and either lies on a curve in the space of colours or has a thermal
+    sensor's picture size. That size alone is no evidence, because downsized photos may have it too; if grey pictures
+    have it, the text mentions that they may show temperatures.
 
     Args:
         photos: photos of the set; thermal pictures are already left out if there are other pictures.
@@ -145,22 +173,37 @@ def false_colours(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]) 
         return "temperatures"
     if all(_sees_infrared(p) for p in photos):
         return "near infrared"
-    if not all(_has_thermal_size(p) for p in photos):
-        return ""
-    pictures = []
+    sized, pictures = all(_has_thermal_size(p) for p in photos), list[U8]()
     for photo in photos[:: -(-len(photos) // 3)]:
         with suppress(ValueError):
-            pictures.append(read(photo).astype(np.float64))
-    about = [p - p.mean(axis=2, keepdims=True) for p in pictures if p.ndim == 3]
-    strong = [float(np.sqrt((a - a.mean(axis=(0, 1))).var(axis=(0, 1)).sum())) > VIVID for a in about]
-    return "temperatures" if strong and all(strong) else ""
+            pictures.append(read(photo))
+    coloured = [_is_palette(p, sized) for p in pictures if p.ndim == 3]
+    if coloured and all(coloured):
+        return "temperatures"
+    grey = sized and pictures and all(p.ndim == 2 or np.ptp(p, axis=2).mean() < 1 for p in pictures)
+    return "temperatures, if of a thermal camera, whose size they have" if grey else ""
+
+
+def _is_palette(picture: U8, sized: bool) -> bool:
+    """Whether a picture (H, W, 3) has the colours of a palette; `sized`: whether it has a thermal sensor's size."""
+    every = -(-max(picture.shape) // 1000)
+    sample = picture[::every, ::every].reshape(-1, 3).astype(np.int64)
+    about = sample - sample.mean(axis=1, keepdims=True)
+    spread = float(np.sqrt(about.var(axis=0).sum()))
+    full = np.sort(np.bincount(sample // 16 @ np.array([256, 16, 1])))[::-1].cumsum()
+    return spread > VIVID and (sized or int(np.searchsorted(full, 0.95 * full[-1])) < CURVE * spread)
 
 
 def _is_tagged_thermal(photo: PhotoTags) -> bool:
     source, band = photo.xmp.get("dji:ImageSource", "").lower(), photo.xmp.get("camera:BandName", "").lower()
-    named = re.search(r"_(T|IR)$|\d_(T|IR)_|^IRX_", photo.path.stem, re.IGNORECASE) is not None
-    by_flir = photo.is_radiometric or "flir" in photo.text(Base.Make).lower()
-    return "infrared" in source or band == "lwir" or named or (by_flir and _has_thermal_size(photo))
+    by_maker = re.search(r"^DJI_\d[\d_]*_(T|IR)(_|$)|^IRX_", photo.path.stem, re.IGNORECASE) is not None
+    hinted = _is_named_thermal(photo) or photo.is_radiometric or "flir" in photo.text(Base.Make).lower()
+    return "infrared" in source or band == "lwir" or by_maker or (hinted and _has_thermal_size(photo))
+
+
+def _is_named_thermal(photo: PhotoTags) -> bool:
+    """Whether the file's name has the letters of thermal pictures (T or IR); an owner may have chosen them, too."""
+    return re.search(r"_(T|IR)$|\d_(T|IR)_|^IRX_", photo.path.stem, re.IGNORECASE) is not None
 
 
 def _has_thermal_size(photo: PhotoTags) -> bool:

@@ -161,11 +161,12 @@ class PhotoTags:
 
     @property
     def exif_place(self) -> tuple[float, float] | None:
-        """Latitude and longitude in degrees from EXIF; None without a fix."""
-        return _on_earth(
-            _angle(self.gps.get(Gps.GPSLatitude), self.gps.get(Gps.GPSLatitudeRef), "S"),
-            _angle(self.gps.get(Gps.GPSLongitude), self.gps.get(Gps.GPSLongitudeRef), "W"),
-        )
+        """Latitude and longitude in degrees from EXIF; None without a fix.
+
+        Two angles whose letters belong to the other axis are exchanged. A sign that is not given is that of XMP if the
+        values are equal otherwise.
+        """
+        return _on_earth(*(angle for angle, _ in self._exif_angles))
 
     @property
     def xmp_place(self) -> tuple[float, float] | None:
@@ -185,9 +186,23 @@ class PhotoTags:
 
     @property
     def hemisphere_missing(self) -> bool:
-        """Whether EXIF gives a position without its hemispheres; north and east are then assumed."""
-        references = self.gps.get(Gps.GPSLatitudeRef), self.gps.get(Gps.GPSLongitudeRef)
-        return self.gps.get(Gps.GPSLatitude) is not None and not all(str(r or "").strip("\0 ") for r in references)
+        """Whether a hemisphere of the EXIF position is neither given nor that of XMP; north or east is then assumed."""
+        return self.exif_place is not None and any(is_assumed for _, is_assumed in self._exif_angles)
+
+    @property
+    def axes_exchanged(self) -> bool:
+        """Whether the EXIF latitude is marked as east or west, and the longitude as north or south."""
+        return _letter(self.gps.get(Gps.GPSLatitudeRef)) in "EW" and _letter(self.gps.get(Gps.GPSLongitudeRef)) in "NS"
+
+    @property
+    def _exif_angles(self) -> list[tuple[float | None, bool]]:
+        """EXIF latitude and longitude in degrees, each with whether its sign is assumed."""
+        tags = [(Gps.GPSLatitude, Gps.GPSLatitudeRef), (Gps.GPSLongitude, Gps.GPSLongitudeRef)]
+        north, east = (
+            (self.gps.get(a), _letter(self.gps.get(r))) for a, r in tags[:: -1 if self.axes_exchanged else 1]
+        )
+        xmp = self.xmp_place or (None, None)
+        return [_angle(*north, "NS", xmp[0]), _angle(*east, "EW", xmp[1])]
 
     @property
     def _altitude_code(self) -> Any:
@@ -229,14 +244,29 @@ def finite(value: Any) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _angle(dms: Any, ref: Any, negative: str) -> float | None:
-    """Return degrees from (degrees, minutes, seconds), negative if `ref` is `negative`; parts of 0/0 are zero."""
-    if not isinstance(dms, tuple) or len(dms) != 3:
-        return None
-    d, m, s = (finite(v) for v in dms)
-    if d is None:
-        return None
-    return (d + (m or 0.0) / 60 + (s or 0.0) / 3600) * (-1 if str(ref).strip("\0 ").upper() == negative else 1)
+def _letter(ref: Any) -> str:
+    """Return the first letter of a hemisphere (`S`, `South`); `?` if absent."""
+    text = ref.decode(errors="replace") if isinstance(ref, bytes) else str(ref or "")
+    return text.strip("\0 ").upper()[:1] or "?"
+
+
+def _angle(dms: Any, letter: str, letters: str, xmp: float | None) -> tuple[float | None, bool]:
+    """Return degrees from (degrees, minutes, seconds), and whether the sign is assumed; parts of 0/0 are zero.
+
+    Args:
+        letter: hemisphere as written.
+        letters: letters of the positive and the negative hemisphere.
+        xmp: the same angle in XMP, degrees, for the sign if `letter` does not give it.
+    """
+    parts = [finite(v) for v in dms] if isinstance(dms, tuple) and len(dms) == 3 else [None]
+    if parts[0] is None:
+        return (None, False)
+    d, m, s = (abs(v or 0.0) for v in parts)
+    degrees, known = d + m / 60 + s / 3600, letter in letters
+    if not known and xmp is not None and abs(abs(xmp) - degrees) < 1e-3:  # EXIF may be rounded to a second of arc
+        return (math.copysign(degrees, xmp), False)
+    negative = letter == letters[1] or any(v is not None and v < 0 for v in parts)
+    return (-degrees if negative else degrees, not known and not negative)
 
 
 def read_tags(path: Path) -> tuple[PhotoTags, str]:

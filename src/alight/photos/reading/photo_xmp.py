@@ -1,4 +1,4 @@
-"""Read the XMP packet of a photo: tags of DJI, Parrot, Autel, Skydio, Yuneec and Pix4D's `Camera`."""
+"""Read the XMP packet of a photo: tags of DJI, Parrot, Autel, Skydio, Yuneec, Pix4D's `Camera` and panoramas."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 SPACES = {  # part of a namespace: prefix. `camera` is Pix4D's, also in use by Autel, senseFly, Sentera and MicaSense
     "dji": "dji:", "camera/1.0": "camera:", "drone-parrot": "parrot:", "drone-autel": "autel:",
-    "drone-skydio/": "skydio:", "drone-yuneec": "yuneec:",
+    "drone-skydio/": "skydio:", "drone-yuneec": "yuneec:", "photos/1.0/panorama": "gpano:",
 }  # fmt: skip
 RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 FRAME = (RDF, "{adobe:ns:meta/}", "{http://www.w3.org/XML/1998/namespace}")  # namespaces of enclosing tags

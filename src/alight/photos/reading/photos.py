@@ -38,7 +38,7 @@ from alight.photos.reading.photo_pose import (
     rtk_fix,
     with_attitudes_settled,
 )
-from alight.photos.reading.photo_selection import LeftOut, other_bands, thermal_photos, without_extra
+from alight.photos.reading.photo_selection import LeftOut, other_bands, panoramas, thermal_photos, without_extra
 from alight.photos.reading.photo_tags import PhotoCamera, PhotoTags, finite, read_tags
 from alight.photos.reading.positions import flights_of, settle_positions
 from alight.photos.reading.repeated import repeated_photos
@@ -101,6 +101,7 @@ class Photos(Source):
         self.name = root.parent.name if generic else root.name
         photos = self._readable(files, read)
         photos = self._without(photos, repeated_photos(photos, self._reader.pixels_of))
+        photos = self._without(photos, panoramas(photos))
         photos = self._without(photos, thermal_photos(photos))
         photos = self._of_cameras(self._without(photos, other_bands(photos)), settings)
         positions = settle_positions(photos, root, places, geoid)
@@ -218,7 +219,7 @@ class Photos(Source):
     def _of_cameras(self, photos: list[PhotoTags], settings: Settings) -> list[PhotoTags]:
         """Return the photos of the most used camera, and of others with enough photos and a focal length in their tags.
 
-        If the settings give a calibration, all others are left out.
+        If the settings give a calibration, the photos of all other cameras are left out.
         """
         out = dict[object, str]()
         for camera, count in Counter(p.camera for p in photos).most_common()[1:]:
@@ -273,13 +274,21 @@ class Photos(Source):
         return Rig(tuple(cameras))
 
     def _settled(self, notes: Notes, camera: PhotoCamera) -> Notes:
-        """Return the notes on a focal length without `focal_warning`, which is recorded as a contradiction."""
+        """Record `focal_warning` as a contradiction and `focal_doubt` as a warning; return the notes without the two.
+
+        Both are removed from `notes`, which describe the focal length of `camera`.
+        """
         if warning := notes.pop("focal_warning", ""):
             self.findings.contradict(f"focal length of {camera.title}: {warning}")
+        if doubt := notes.pop("focal_doubt", ""):
+            self.findings.warn(f"focal length of {camera.title}: {doubt}")
         return notes
 
     def _lens(self, camera: PhotoCamera, photos: list[PhotoTags], focal_px: float | None) -> tuple[Camera, Notes]:
-        """Return the lens of one camera and notes on it, from the calibration that most of its photos carry."""
+        """Return the lens of one camera and notes on it, from the calibration that most of its `photos` carry.
+
+        `focal_px`: focal length given by the user; None: by the tags or, with a warning, guessed.
+        """
         dewarp = Counter(dewarp_text(p) for p in photos).most_common()
         chosen = next(p for p in photos if dewarp_text(p) == dewarp[0][0])
         if len(dewarp) > 1:
@@ -292,8 +301,8 @@ class Photos(Source):
         except InputError:
             lens, notes = guessed_camera(chosen)
             self.findings.warn(
-                f"no focal length in the tags of {camera.title}: {lens.fu:.0f} pixels are a guess, wrong by up to a "
-                "quarter, and heights above ground scale with it; give the true one with --set "
+                f"no usable focal length in the tags of {camera.title}: {lens.fu:.0f} pixels are a guess, wrong by up "
+                "to a quarter, and heights above ground scale with it; give the true one with --set "
                 "sources.calibration=PIXELS, or camchain.yaml"
             )
             return lens, notes
@@ -318,15 +327,15 @@ class Photos(Source):
         missing = sum(p.position is None for p in photos)
         low = sum(p.position is None and p.place is not None for p in photos)
         but = f" ({low} of them lack the altitude alone: write GPSAltitude)" if low else ""
-        half, turned = sum(p.hemisphere_missing for p in photos), sum(p.turned > 0 for p in photos)
-        shows = self.notes.get("false_colours", "")
+        turned = sum(p.turned > 0 for p in photos)
+        shows, hidden = self.notes.get("false_colours", ""), self.notes.get("hidden", "")
         for count, warning in (
             (len(photos) if shows else 0, f"the colours of all {len(photos)} pictures show {shows} (first: "
              f"{photos[0].path.name}): they are read as grey, and refuse no water or plants; give colour pictures too"),
+            (len(hidden), f"transparency hides pixels ({hidden}): they are filled smoothly from their "
+             "surroundings, and are no evidence of heights"),
             (missing, f"{missing} of {len(photos)} photos have no GPS position{but}: their place comes from the "
              "pictures alone"),
-            (half, f"{half} photo(s) do not say whether their place is north or south, east or west: north and east "
-             "are taken"),
             (kinds["flight"], f"{kinds['flight']} photo(s) have no gimbal angles: a camera fixed to look down is "
              "assumed"),
             (turned, f"{turned} photo(s) have an EXIF orientation other than 1: their pixels are used as they are "

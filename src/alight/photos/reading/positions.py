@@ -13,14 +13,20 @@ from typing import NamedTuple
 import numpy as np
 
 from alight.arrays import F64, I64
+from alight.photos.reading.agreement import (
+    FACTORS,
+    METRES_A_DEGREE,
+    OTHER_SURFACE,
+    SAME_ALTITUDE,
+    STEADY,
+    drift,
+    factor_by,
+    places_apart,
+)
 from alight.photos.reading.photo_pose import GPS_SIGMA, position_sigma
 from alight.photos.reading.photo_tags import PhotoTags, Position
-from alight.photos.reading.places import Places, places_beside, read_places
+from alight.photos.reading.places import GivenPlace, Places, places_beside, read_places, unread_tables
 from alight.records import InputError
-
-METRES_A_DEGREE = 111_194.0
-SAME_ALTITUDE = 1.0  # m; two altitudes of a photo that differ by less are treated as equal
-STEADY = 5.0  # m; altitudes above sea level and above take-off may drift apart by this much, up or down, in a flight
 
 
 class Positions(NamedTuple):
@@ -48,14 +54,33 @@ def settle_positions(
         InputError: the position file, or the geoid, cannot be used.
     """
     path = places_beside(root) if places is None else places if str(places) != "tags" else None
-    if path is not None:
-        names = [p.path.relative_to(root).as_posix() for p in photos]
-        found = positions_by_file(photos, names, read_places(path))
-    else:
-        timed = sorted(photos, key=lambda p: (p.time_ns or 0, p.path))
-        found = positions_by_tags(timed, flights_of(timed))
+    timed = sorted(photos, key=lambda p: (p.time_ns or 0, p.path))
+    names, flights = [p.path.relative_to(root).as_posix() for p in timed], flights_of(timed)
+    found = positions_by_tags(timed, flights) if path is None else (
+        positions_by_file(timed, names, read_places(path), flights))  # fmt: skip
+    if places is None:
+        found.warnings.extend(unread_tables(root, names, path))
+    found = _without_stuck(found)
     moved, counted_from, warnings = above_ellipsoid(found.photos, geoid)
     return found._replace(photos=moved, counted_from=counted_from, warnings=found.warnings + warnings)
+
+
+def _without_stuck(found: Positions) -> Positions:
+    """Remove a location that most photos share, as the receiver stood still, unless all do; report a contradiction."""
+    placed = [p for p in found.photos if p.place is not None]
+    if len({p.time_ns or p.path for p in placed}) < 3:
+        return found
+    (place, count), *others = Counter(p.place for p in placed).most_common()
+    if 2 * count <= len(placed) or _step_of_places(np.array([p.place for p in placed])) > GPS_SIGMA[0]:
+        return found
+    text = f"{count} of {len(found.photos)} photos have one and the same place"
+    if not others:
+        found.contradictions.append(f"{text}: nothing gives the scale; distances and heights are not to be trusted")
+        return found
+    found.contradictions.append(f"{text}: the receiver stood still, and the pictures alone place them")
+    still = [replace(p, settled=p.settled._replace(place=None)) if p.settled and p.place == place else p
+             for p in found.photos]  # fmt: skip
+    return found._replace(photos=still)
 
 
 def flights_of(photos: Sequence[PhotoTags]) -> list[int]:
@@ -68,19 +93,30 @@ def flights_of(photos: Sequence[PhotoTags]) -> list[int]:
     return out
 
 
-def positions_by_file(photos: Sequence[PhotoTags], names: Sequence[str], places: Places) -> Positions:
-    """Replace the positions in the tags by the positions in a file.
+def positions_by_file(
+    photos: Sequence[PhotoTags], names: Sequence[str], places: Places, flights: Sequence[int]
+) -> Positions:
+    """Replace the positions in the tags by the positions in a file, after comparing both.
 
     Photos without a row get no position, because their tags may use another datum.
 
+    Args:
+        photos: photos in order of time.
+        names: their names within the set.
+        places: content of the file.
+        flights: flight index of each photo.
+
     Raises:
-        InputError: no row matches a photo, or x and y are exchanged.
+        InputError: no row matches a photo, or the file's places are far from those of the tags.
     """
     found, file = places.of(names), places.file.name
     if not found:
         first = next(iter(places.rows))
         raise InputError(f"{places.file}: none of its {len(places.rows)} names is that of a photo (first: {first})")
-    _check_order(photos, names, places)
+    pairs = [(p, found[n]) for p, n in zip(photos, names, strict=True) if n in found]
+    contradictions = _contradicted_places(places.file, pairs)
+    its_flights = np.array([f for f, n in zip(flights, names, strict=True) if n in found])
+    warnings = _compared_heights(file, pairs, its_flights, contradictions)
     out, lack = list[PhotoTags](), [n for n in names if n not in found]
     for photo, name in zip(photos, names, strict=True):
         if name not in found:
@@ -91,27 +127,66 @@ def positions_by_file(photos: Sequence[PhotoTags], names: Sequence[str], places:
         altitude = at.height if tagged is None and not math.isnan(at.height) else tagged and tagged[2]
         kind = photo.altitude_kind if math.isnan(at.height) else places.datum
         out.append(replace(photo, settled=Position((at.latitude, at.longitude), altitude, kind, file, at.sigma)))
-    warnings, others = [], len(places.rows) - len(found)
+    others = len(places.rows) - len(found)
     if lack:
         warnings.append(f"{file}: {len(lack)} photo(s) have no row (first: {lack[0]}): the pictures alone place them")
     if others:
         warnings.append(f"{file}: {others} row(s) name no photo of the set")
-    return Positions(out, f"{file} ({places.settled}): {len(found)} of {len(photos)} photos", warnings, [])
+    return Positions(out, f"{file} ({places.settled}): {len(found)} of {len(photos)} photos", warnings, contradictions)
 
 
-def _check_order(photos: Sequence[PhotoTags], names: Sequence[str], places: Places) -> None:
-    """Refuse a file that agrees with the tags only if latitude and longitude are exchanged."""
-    found = places.of(names)
-    pairs = [(p.place, found[n]) for p, n in zip(photos, names, strict=True) if n in found and p.place is not None]
-    if not pairs:
-        return
-    tags, rows = np.array([t for t, _ in pairs]), np.array([(r.latitude, r.longitude) for _, r in pairs])
-    straight, exchanged = (np.median(np.abs(tags - r).max(axis=1)) for r in (rows, rows[:, ::-1]))
-    if straight > 1.0 and exchanged < 0.1 * straight:
+def _contradicted_places(file: Path, pairs: Sequence[tuple[PhotoTags, GivenPlace]]) -> list[str]:
+    """Return how a file's locations contradict the tags, in words; raise InputError if they are a degree apart."""
+    both = [(p, p.place, (row.latitude, row.longitude)) for p, row in pairs if p.place is not None]
+    if not both:
+        return []
+    tags, rows = np.array([t for _, t, _ in both]), np.array([r for *_, r in both])
+    unsigned = np.array([p.hemisphere_missing for p, *_ in both])
+    tags = np.where(unsigned[:, None], np.copysign(tags, rows), tags)
+    apart, hint = places_apart(rows, tags)
+    if apart <= 20 * GPS_SIGMA[0]:
+        return []
+    what = f"its places lie {apart / 1000:.1f} km from those of the tags" + (f"; {hint} they agree" if hint else "")
+    if apart > METRES_A_DEGREE:
         raise InputError(
-            f"{places.file}: its places lie {straight:.0f} degrees from those of the tags, and with latitude and "
-            "longitude exchanged they do not: write x (longitude) before y (latitude)"
+            f"{file}: {what}: mend the coordinate system, the signs, or the order (x, the longitude, before y, the "
+            "latitude); if the tags are wrong, remove their GPSLatitude and GPSLongitude"
         )
+    return [f"{file.name}: {what}; those of the file are used"]
+
+
+def _compared_heights(
+    file: str, pairs: Sequence[tuple[PhotoTags, GivenPlace]], flights: I64, contradictions: list[str]
+) -> list[str]:
+    """Compare a file's heights with altitudes and heights above take-off in the tags; return the warnings.
+
+    `pairs`: photos with their rows; `flights` (n,): flight index of each; `contradictions`: list to append to.
+    """
+    heights = np.array([row.height for _, row in pairs])
+    tagged = np.array([p.position[2] if p.position and p.position[2] else math.nan for p, _ in pairs])
+    above = np.array([math.nan if p.relative_altitude is None else p.relative_altitude for p, _ in pairs])
+    others, name = (above, "heights above take-off") if np.isfinite(above).any() else (tagged, "altitudes")
+    apart = drift(heights - others, flights)
+    factor = factor_by(heights, others, lambda off: drift(off, flights))
+    if np.isfinite(heights - others).sum() >= 3 and (factor != 1.0 or apart > 2 * STEADY):
+        how = f"ten times as well {FACTORS[factor]}" if factor != 1.0 else f"only to {apart:.0f} m in a flight"
+        contradictions.append(f"{file}: its heights follow the {name} of the tags {how}; they are used as written")
+    known = np.isfinite(heights) & np.isfinite(tagged)
+    off = float(np.median((heights - tagged)[known])) if known.any() else 0.0
+    if abs(off) <= STEADY:
+        return []
+    factor = factor_by(heights[known], tagged[known], lambda off: float(np.median(np.abs(off))))
+    is_above = float(np.median(np.abs(heights - above)[known])) < 0.1 * abs(off)
+    datum = "they count from another surface" if abs(off) <= OTHER_SURFACE else "one is wrong"
+    why = f"{FACTORS[factor]} they agree" if factor != 1.0 else "they count from take-off" if is_above else datum
+    text = (
+        f"{file}: its heights lie {abs(off):.1f} m {'above' if off > 0 else 'below'} those of the tags "
+        f"({np.median(heights[known]):.0f} and {np.median(tagged[known]):.0f} m): {why}; they are used as written"
+    )
+    if factor == 1.0 and not is_above and abs(off) <= OTHER_SURFACE:
+        return [text]
+    contradictions.append(text)
+    return []
 
 
 def positions_by_tags(photos: Sequence[PhotoTags], flights: Sequence[int]) -> Positions:
@@ -122,6 +197,12 @@ def positions_by_tags(photos: Sequence[PhotoTags], flights: Sequence[int]) -> Po
         flights: flight index of each photo, because heights above take-off of two flights differ.
     """
     warnings, contradictions = list[str](), list[str]()
+    if exchanged := sum(p.axes_exchanged for p in photos):
+        warnings.append(f"{exchanged} photo(s) have a latitude east or west: it is read as the longitude")
+    if half := sum(p.hemisphere_missing for p in photos):
+        warnings.append(
+            f"{half} photo(s) do not say whether their place is north or south, east or west: north and east are taken"
+        )
     places = _finer_places(photos, warnings, contradictions)
     altitudes, source = _altitudes(photos, np.array(flights), warnings, contradictions)
     out = []
@@ -147,7 +228,10 @@ def _with_altitude(photo: PhotoTags, altitude: float) -> PhotoTags:
 def _finer_places(
     photos: Sequence[PhotoTags], warnings: list[str], contradictions: list[str]
 ) -> list[tuple[float, float] | None]:
-    """Return the EXIF locations, or the XMP locations if these are finer and agree within the rounding of EXIF."""
+    """Return the EXIF locations, or the XMP locations if these are finer and agree within the rounding of EXIF.
+
+    Sentences on differences are appended to `warnings` and `contradictions`.
+    """
     own = [p.place for p in photos]
     both = [k for k, p in enumerate(photos) if p.exif_place is not None and p.xmp_place is not None]
     if not both:
@@ -155,7 +239,9 @@ def _finer_places(
     exif, xmp = (np.array([getattr(photos[k], f"{n}_place") for k in both]) for n in ("exif", "xmp"))
     step, off = _step_of_places(exif), METRES_A_DEGREE * float(np.abs(exif - xmp).max())
     if off > max(1.01 * step, GPS_SIGMA[0]):
-        contradictions.append(f"places in EXIF and XMP lie up to {off:.1f} m apart: those in EXIF are used")
+        hint = places_apart(exif, xmp)[1]
+        agree = f" ({hint} they agree)" if hint else ""
+        contradictions.append(f"places in EXIF and XMP lie up to {off:.1f} m apart{agree}: those in EXIF are used")
     elif off <= 1.01 * step and METRES_A_DEGREE * _step(xmp) < step and step > 0.05:
         for k, place in zip(both, xmp.tolist(), strict=True):
             own[k] = (place[0], place[1])
@@ -170,7 +256,7 @@ def _step_of_places(places: F64) -> float:
 
 
 def _by_coarse_places(photos: list[PhotoTags], warnings: list[str]) -> list[PhotoTags]:
-    """Return the photos, with a larger position sigma if their locations are written with few digits."""
+    """Return the photos; if locations have few digits, their sigmas are enlarged, and `warnings` gets a sentence."""
     step = _step_of_places(np.array([p.place for p in photos if p.place is not None]).reshape(-1, 2))
     if not step > GPS_SIGMA[0]:
         return photos
@@ -196,7 +282,10 @@ def _step(values: F64) -> float:
 def _altitudes(
     photos: Sequence[PhotoTags], flights: I64, warnings: list[str], contradictions: list[str]
 ) -> tuple[F64, str]:
-    """Return the (n,) altitudes to use in metres, NaN where none is given, and their main source in words."""
+    """Return the (n,) altitudes to use in metres, NaN where none is given, and their main source in words.
+
+    `flights` (n,): flight indices. Sentences on differences are appended to `warnings` and `contradictions`.
+    """
     exif, absolute, relative = (
         np.array([math.nan if (v := getattr(p, name)) is None else v for p in photos])
         for name in ("exif_altitude", "absolute_altitude", "relative_altitude")
@@ -209,7 +298,7 @@ def _altitudes(
         steps = {"EXIF": _step(exif[both]), "XMP": _step(absolute[both])}
         coarser = max(steps.values())
         if float(np.ptp(off)) > max(SAME_ALTITUDE, 2 * coarser):
-            drifts = [_drift(a[both] - relative[both], flights[both]) for a in (exif, absolute)]
+            drifts = [drift(a[both] - relative[both], flights[both]) for a in (exif, absolute)]
             by_takeoff = np.isfinite(drifts).all() and abs(drifts[0] - drifts[1]) > SAME_ALTITUDE
             use_exif = drifts[0] < drifts[1] if by_takeoff else steps["EXIF"] < steps["XMP"]
             why = "agree with the heights above take-off" if by_takeoff else "are finer"
@@ -228,28 +317,36 @@ def _altitudes(
     first, second = (exif, absolute) if use_exif else (absolute, exif)
     used = np.where(np.isfinite(first), first, second)
     source = "tags, altitudes in EXIF" if use_exif and np.isfinite(exif).any() else "tags, altitudes in XMP"
-    return _checked_by_takeoff(used, relative, flights, contradictions), source
+    used = _checked_by_takeoff(used, relative, flights, contradictions)
+    if np.isfinite(used).any() and (low := float(np.nanmedian(used))) < -OTHER_SURFACE:
+        warnings.append(f"altitudes lie {-low:.0f} m below the sea: if the ground does not, GPSAltitudeRef is wrong")
+    return used, source
 
 
 def _checked_by_takeoff(used: F64, relative: F64, flights: I64, contradictions: list[str]) -> F64:
-    """Return the altitudes `used` or, if only the heights above take-off change in a flight, altitudes from these."""
+    """Return the altitudes `used` (n,), corrected if the heights above take-off `relative` (n,) show an error.
+
+    Altitudes in feet or with the opposite sign are converted. If the altitudes stand still in a flight that climbs,
+    they are replaced by heights above take-off. Each error is appended to `contradictions`; `flights` (n,) are flight
+    indices.
+    """
     known = np.isfinite(used) & np.isfinite(relative)
     if known.sum() < 3:
         return used
-    drift = _drift((used - relative)[known], flights[known])
-    if drift <= 2 * STEADY:
+    if (factor := factor_by(used, relative, lambda off: drift(off, flights))) != 1.0:
+        contradictions.append(
+            f"altitudes change as the heights above take-off only {FACTORS[factor]}: they are read so; "
+            f"{np.median(used[known]):.1f} becomes {factor * np.median(used[known]):.1f} m"
+        )
+        return factor * used
+    apart = drift((used - relative)[known], flights[known])
+    if apart <= 2 * STEADY:
         return used
     stuck = bool(np.ptp(used[known]) <= SAME_ALTITUDE)
-    what = "the altitudes stand still" if stuck else f"altitudes and heights above take-off drift {drift:.0f} m apart"
+    what = "the altitudes stand still" if stuck else f"altitudes and heights above take-off drift {apart:.0f} m apart"
     chosen = "the heights above take-off decide" if stuck else "one is wrong; the altitudes are used"
     contradictions.append(f"{what} in a flight: {chosen}")
     return np.asarray(np.where(known, relative + np.median((used - relative)[known]), used)) if stuck else used
-
-
-def _drift(difference: F64, flights: I64) -> float:
-    """Return the largest range (m, 5th to 95th percentile) of `difference` (n,) within a flight; NaN if all is NaN."""
-    parts = [difference[(flights == f) & np.isfinite(difference)] for f in np.unique(flights)]
-    return max((float(np.ptp(np.percentile(p, [5, 95]))) for p in parts if len(p)), default=math.nan)
 
 
 def above_ellipsoid(photos: Sequence[PhotoTags], geoid: Path | None) -> tuple[list[PhotoTags], str, list[str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from hashlib import file_digest
 
@@ -19,22 +19,27 @@ ALIKE = 0.98  # least correlation of two pictures of one exposure, made small; n
 
 
 def repeated_photos(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]) -> LeftOut:
-    """Return the photos to leave out because the set holds a better copy: larger, or equally large with a shorter name.
+    """Return the photos to leave out because the set holds a better copy: larger, else with more tags.
 
-    Copies have equal bytes, or they have equal cameras, times and positions and their pictures look alike.
+    Copies have equal bytes, or their tags may be of one exposure (`_may_be_one`) and their pictures look alike.
 
     Args:
         photos: all photos of the set.
         read: decodes a photo, (H, W) or (H, W, 3); may raise ValueError.
     """
-    best_first = sorted(photos, key=lambda p: (-p.size[0] * p.size[1], len(p.path.name), p.path))
+    best_first = sorted(
+        photos, key=lambda p: (-p.size[0] * p.size[1], -len(p.exif) - len(p.gps) - len(p.xmp), len(p.path.name), p.path)
+    )
     out = list[PhotoTags]()
     for group in _groups(best_first, lambda p: p.path.stat().st_size):
         out += [p for same in _groups(group, _bytes_of) for p in same[1:]]
-    left = {p.path for p in photos} - {p.path for p in out}
-    for group in _groups([p for p in best_first if p.path in left], _exposure_of):
-        small = [_small(p, read) for p in group]
-        out += [p for k, p in enumerate(group) if any(_alike(small[k], s) for s in small[:k])]
+    copies = {p.path for p in out}
+    left, small = [p for p in best_first if p.path not in copies], dict[int, F64 | None]()
+    for k, better in _may_be_one(left):
+        for j in (k, *better):
+            if j not in small:
+                small[j] = _small(left[j], read)
+        out += [left[k]] * any(_alike(small[k], small[j]) for j in better)
     warning = f"{len(out)} photo(s) are in the set twice and count once (first: {out[0].path.name})" if out else ""
     return LeftOut({p.path: "the set holds it twice" for p in out}, "repeated photos", warning)
 
@@ -52,12 +57,23 @@ def _bytes_of(photo: PhotoTags) -> str:
         return file_digest(file, "blake2b").hexdigest()
 
 
-def _exposure_of(photo: PhotoTags) -> Hashable:
-    """Return a key that identifies an exposure by its tags; None if time or position is missing."""
-    if photo.time_ns is None or photo.place is None:
-        return None
-    camera = photo.camera._replace(size=(0, 0))
-    return (camera, photo.time_ns, *(round(angle, 7) for angle in photo.place))
+def _may_be_one(photos: Sequence[PhotoTags]) -> Iterator[tuple[int, list[int]]]:
+    """Yield the index of each photo that may show the exposure of earlier photos, and the indices of those photos.
+
+    The photos have equal cameras, times and positions; time or position, but not both, may be missing in one of them.
+    Programs that save a photo again may drop the fraction of a second, and round the position by up to 1e-5 degrees.
+    """
+    cameras = np.unique([f"{c.make}|{c.model}|{c.band}" for c in (p.camera for p in photos)], return_inverse=True)[1]
+    times = [p.time_ns for p in photos]
+    whole, part = np.array([(np.nan, 0) if t is None else divmod(t, 10**9) for t in times]).reshape(-1, 2).T
+    places = np.array([p.place or (np.nan, np.nan) for p in photos]).reshape(-1, 2)
+    for k in range(1, len(photos)):
+        later = np.abs(whole[:k] - whole[k])
+        same_time = (later == 0) & ((part[:k] == part[k]) | (part[:k] == 0) | (part[k] == 0))
+        away = np.abs(places[:k] - places[k]).max(axis=1)
+        fits = (same_time | np.isnan(later)) & ((away <= 1e-5) | np.isnan(away)) & ~(np.isnan(later) & np.isnan(away))
+        if len(better := np.flatnonzero(fits & (cameras[:k] == cameras[k]))):
+            yield k, better.tolist()
 
 
 def _small(photo: PhotoTags, read: Callable[[PhotoTags], U8]) -> F64 | None:

@@ -39,20 +39,23 @@ class FilmClock:
     accuracy: float = 0.0  # m, error of positions by a possibly wrong offset; 0: the offset is reliable
 
 
-def open_video(path: Path, settings: Settings, log: Callable[[], FilmTelemetry | None] = lambda: None) -> Photos:
+def open_video(
+    path: Path, settings: Settings, log: Callable[[bool], FilmTelemetry | None] = lambda own: None
+) -> Photos:
     """Open a film as photos; its frames are extracted to a temporary folder that lives as long as the source.
 
     Args:
         path: the film.
         settings: all settings of the run.
-        log: returns the telemetry of an autopilot's log, or None; called if no telemetry lies next to the film.
+        log: returns the telemetry of the autopilot's log with the film's name if its argument is true, else of the only
+            log next to the film; None: there is none.
 
     Raises:
         InputError: the film cannot be decoded, has no telemetry with positions, or its clock offset is unclear.
     """
     with FilmFrames(path) as frames:
         seconds = frames.seconds
-    telemetry = telemetry_beside(path) or log() or telemetry_inside(path, seconds)
+    telemetry = telemetry_beside(path) or log(True) or _telemetry_inside(path, seconds, log) or log(False)
     if telemetry is None:
         raise InputError(f"{path}: has no telemetry; put {path.stem}.srt or {path.stem}.gpx beside it")
     folder = Path(tempfile.mkdtemp(prefix="alight-video-"))
@@ -74,10 +77,20 @@ def open_video(path: Path, settings: Settings, log: Callable[[], FilmTelemetry |
     source.notes["telemetry"] = "; ".join(
         part for part in (f"{telemetry.source}: {len(telemetry.rows)} places", telemetry.found, clock.found) if part
     )
-    if clock.warning:
-        source.findings.warn(clock.warning)
+    for warning in filter(None, (telemetry.warning, clock.warning)):
+        source.findings.warn(warning)
     weakref.finalize(source, shutil.rmtree, folder, True)
     return source
+
+
+def _telemetry_inside(path: Path, seconds: float, log: Callable[[bool], FilmTelemetry | None]) -> FilmTelemetry | None:
+    """Read telemetry from a track of the film; if no reader of tracks is installed, from the log by `log(False)`."""
+    try:
+        return telemetry_inside(path, seconds)
+    except InputError:
+        if (found := log(False)) is None:
+            raise
+        return found
 
 
 def film_clock(path: Path, seconds: float, telemetry: FilmTelemetry, given: float | None) -> FilmClock:
@@ -121,7 +134,7 @@ def _earlier(offset: float) -> str:
 
 
 def _write_frames(path: Path, telemetry: FilmTelemetry, clock: FilmClock, root: Path) -> Iterator[PhotoTags]:
-    """Save the selected frames and yield their tags; frames without telemetry are left out."""
+    """Save the selected frames of a film in `root` and yield their tags; frames without telemetry are left out."""
     last: TelemetryRow | None = None
     with FilmFrames(path) as frames:
         for t in frames:
@@ -161,14 +174,17 @@ def focal_px(row: TelemetryRow, longer: float) -> float | None:
 
 
 def _step(row: TelemetryRow, size: tuple[int, int]) -> float:
-    """Return the distance in metres between frames with overlap `OVERLAP`; usual values replace missing ones."""
+    """Return metres from one selected frame to the next, for overlap `OVERLAP`; usual values replace missing ones."""
     focal = focal_px(row, max(size))
     field = 0.56 if focal is None else min(size) / (focal * digital_zoom(row))  # extent on the ground over height
     return max((1 - OVERLAP) * field * max(row.values.get("rel_alt", 30.0), 1.0), 0.5)
 
 
 def _tags(path: Path, frames: FilmFrames, row: TelemetryRow, accuracy: float) -> PhotoTags:
-    """Build the tags that a photo of the same drone would have; an unknown altitude is left out."""
+    """Build the tags that a photo of the same drone would have; an unknown altitude is left out.
+
+    `path`: file of the frame; `accuracy`: error of the position in metres, 0: not given.
+    """
     assert row.place is not None
     taken = row.taken or datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=row.seconds)
     exif: dict[int, str] = {
@@ -180,6 +196,7 @@ def _tags(path: Path, frames: FilmFrames, row: TelemetryRow, accuracy: float) ->
         "dji:GpsLatitude": row.place[0], "dji:GpsLongitude": row.place[1],
         "dji:AbsoluteAltitude": row.values.get("abs_alt"), "dji:RelativeAltitude": row.values.get("rel_alt"),
         "dji:CalibratedFocalLength": focal_px(row, max(frames.size)),
+        "dji:CalibratedOpticalCenterX": frames.size[0] / 2, "dji:CalibratedOpticalCenterY": frames.size[1] / 2,
         "dji:GimbalYawDegree": row.values.get("gb_yaw"), "dji:GimbalPitchDegree": row.values.get("gb_pitch"),
         "dji:GimbalRollDegree": row.values.get("gb_roll"), "camera:GPSXYAccuracy": accuracy or None,
     }  # fmt: skip

@@ -70,7 +70,7 @@ def _digest(about: str, body: bytes) -> bytes:
 
 
 def _plain(value: Any, arrays: list[NDArray[Any]]) -> Any:
-    """Return a value as JSON types, its containers as lists [type, ...]; append its arrays to `arrays`."""
+    """Return a value as JSON types, containers as lists [type, ...]; its arrays are appended to `arrays`."""
     if isinstance(value, np.ndarray):
         arrays.append(np.asarray(value, order="C"))
         return ["array", f"arr_{len(arrays) - 1}"]

@@ -85,7 +85,7 @@ def _key_of(folder: Path) -> dict[str, Any] | None:
 
 
 def _differing(there: Any, wanted: Any, name: str = "") -> str:
-    """Return the first difference between two keys in words; empty if they are equal."""
+    """Return the first difference of the saved key `there` from the key `wanted`, in words; empty if they are equal."""
     if there == wanted:
         return ""
     if isinstance(there, dict) and isinstance(wanted, dict):
@@ -110,7 +110,7 @@ class SavedJobs:
         self.done: list[str] = []  # names of the tasks that were not saved before
 
     def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
-        """Run tasks as `Jobs.run` does, but always yield results in the order of the tasks."""
+        """Run tasks as `Jobs.run` does, but yield results in the order of the tasks; `any_order` has no effect."""
         drawn = deque[tuple[Task, bool]]()  # each task, and whether its result is saved
 
         def open_tasks() -> Iterator[Task]:

@@ -54,7 +54,7 @@ class TileBlock:
     searched: tuple[float, float]  # lowest and highest height searched, metres
     views: list[View]
     grounds: F64  # (N,) metres, ground height in each view
-    above: float  # metres, median height of the views above ground
+    above: float  # metres, median height above ground of the views
 
 
 def match_block(
@@ -68,14 +68,15 @@ def match_block(
 ) -> MatchedBlock | None:
     """Match one grid with views whose pixels are passed separately; None if fewer than two views see it.
 
-    `grounds`: (N,) ground height in each view, metres.
+    `images`: store of prepared views. `pixels`: one picture per view. `grounds`: (N,) ground height per view, metres.
+    `searched`: lowest and highest height, metres.
     """
     whole = [replace(v, image=p) for v, p in zip(views, pixels, strict=True)]
     return match_tile(images.of(whole, grounds), grid, *searched, settings)
 
 
 def _near_before_far(tile: tuple[int, int]) -> list[tuple[int, int]]:
-    """Return the sort key of a tile on a Z-order curve (Morton 1966), where tiles with shared views follow closely."""
+    """Return the sort key of a tile (row, column) on a Z-order curve (Morton 1966), which keeps shared views close."""
     return [(tile[0] >> k, tile[1] >> k) for k in range(16, -1, -1)]
 
 
@@ -119,7 +120,7 @@ class BatchMap(GroundMap):
         return np.array([self._grounds[v.key] for v in views])
 
     def levels(self, views: Sequence[View]) -> Iterator[tuple[int, list[View], list[View]]]:
-        """Yield each level, coarse to fine: its number, its views, and the views of it and of adjacent levels."""
+        """Yield the levels, coarse to fine: number, views of the level, and views of it and its neighbours."""
         level, of = 0, []
         for v, ground in zip(views, self.ground_under(views).tolist(), strict=True):
             level = self.level_of(v, ground, level)
@@ -155,7 +156,7 @@ class BatchMap(GroundMap):
     def searched_heights(
         self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
     ) -> tuple[float, float]:
-        """Return the lowest and highest height to search, as in `GroundMap`, but with the heights of a prior."""
+        """Return the lowest and highest height to search; see `GroundMap`. The heights of a prior are used as well."""
         low, high = super().searched_heights(grid, camera, known, part)
         if self.prior is None or self.settings.parallax.height_range:
             return low, high
@@ -177,7 +178,7 @@ class BatchMap(GroundMap):
         return int((away < 0.5 * max(wide, tall)).sum()) >= ENOUGH
 
     def _above_prior(self) -> tuple[float, float]:
-        """Return the median height of the points above the prior, metres, and its NMAD; NaN if points are too few."""
+        """Return median and NMAD of the points' heights above the prior, metres; NaN if there are too few points."""
         assert self.prior is not None
         off = self.points[:, 2] - self.prior.at(self.points[:, 0], self.points[:, 1])
         off = off[np.isfinite(off)]
@@ -207,13 +208,13 @@ class BatchMap(GroundMap):
         return TileBlock(grid, searched, seen, self.ground_under(seen), above)
 
     def _over(self, grid: Grid, views: list[View]) -> tuple[float, float]:
-        """Return median camera height and median height above ground, metres, of the views that may see a grid."""
+        """Return median camera height and median height above ground, metres, of those `views` that may see a grid."""
         up, ground = np.array([v.centre[2] for v in views]), self.ground_under(views)
         here = may_see(views, grid, *super().searched_heights(grid, float(np.median(up)))) or slice(None)
         return float(np.median(up[here])), float(np.median((up - ground)[here]))
 
     def _task(self, images: KeptHere, block: TileBlock) -> Task:
-        """Build the task to match a block; pixels are sent separately, so that neighbours share them."""
+        """Build the task to match a block with the store `images`; pixels are sent apart, for neighbours to share."""
         place = f"{round(block.grid.north / block.grid.cell)}_{round(block.grid.east / block.grid.cell)}"
         pixels = tuple(Sent(f"photo-{v.t_ns}-{v.cam}", v.image) for v in block.views)
         views = tuple(v.without_image for v in block.views)
@@ -224,7 +225,10 @@ class BatchMap(GroundMap):
         return Task(f"tile-{self._step}-{place}", match_block, arguments, about.hexdigest())
 
     def _grids(self, asking: list[View], low: F64, high: F64, level: int) -> list[Grid]:
-        """Return grids to match, with margins, from `low` to `high`: blocks of tiles, or tiles for small pictures."""
+        """Return grids of `level` to match, with margins: blocks of tiles, or single tiles for small pictures.
+
+        `asking`: views of that level. `low`, `high`: (2,) metres, south-west and north-east corner.
+        """
         assert self.elevation is not None
         layer = self.elevation.layer(level)
         keys = list(layer.cover((low[0], high[0]), (low[1], high[1])))
@@ -246,7 +250,7 @@ class BatchMap(GroundMap):
 
 
 class BatchMapper:
-    """Mapping lane that maps the kept keyframes at the end; a full store is mapped in part before the end."""
+    """Mapping lane that keeps keyframes and maps them at the end; if its store fills up earlier, half of them then."""
 
     def __init__(
         self,

@@ -83,7 +83,7 @@ def refuse_too_large(low: F64, high: F64, cell: float, each: float) -> None:
 
 
 def lone(given: Mask, where: Box, tuning: MappingTuning) -> Mask:
-    """Return the mask, over the box `where`, of trusted heights (`given`, (R, C)) with too few trusted neighbours."""
+    """Return the mask, over the box `where`, of trusted cells (`given`, (R, C)) with too few trusted neighbours."""
     reach, window = tuning.given_cells // 2, (tuning.given_cells, tuning.given_cells)
     r, c = (slice(max(0, s.start - reach), s.stop + reach) for s in where)
     about = given[r, c]

@@ -48,7 +48,10 @@ class RecursiveMap(GroundMap):
         return self.ground if self.ground_here is None else self.ground_here
 
     def find_ground_again(self, views: Sequence[View], least: float) -> None:
-        """Find the ground again after it left the searched heights; reset the height sweep, but keep the heights."""
+        """Find the ground again after it left the searched heights; reset the height sweep, but keep the heights.
+
+        `least`: least baseline over height.
+        """
         if self.find_ground(views, least):
             self.ground_here = self.ground
             if self.estimator is not None:
@@ -139,7 +142,7 @@ class RecursiveMap(GroundMap):
             self.passed = self.passed.with_seen(what_moves(grid, flags, anew), t_ns)
 
     def _note_who_came(self, estimator: RecursiveParallax, t_ns: int) -> None:
-        """Remember the cells where a person or object came to stand (G6c)."""
+        """Remember the cells on which a person or object came to stand in the estimator's last step, `t_ns` (G6c)."""
         self.came = self.came.since(t_ns - round(self.settings.hazards.came_memory * 1e9))
         for grid, came in estimator.came:
             self.came = self.came.with_seen(who_came(grid, came), t_ns)
@@ -147,7 +150,7 @@ class RecursiveMap(GroundMap):
     def under(self, views: Sequence[View], about: F64 | None = None) -> ElevationMap | None:
         """Return the map of the ground in the views, and around `about`, (2,) metres; None if nothing trusted was seen.
 
-        Its cells are the newest keyframe's, doubled in size as often as the lander's judging cell allows.
+        Its cell size is that of the newest keyframe, doubled as often as the lander's judging cell allows.
 
         Raises:
             SettingsError: the map would be too large for any memory, as when the ground height is wrong.
@@ -165,7 +168,11 @@ class RecursiveMap(GroundMap):
 
 
 def _window(elevation: TiledElevation, low: F64, high: F64, level: int, each: float) -> Grid:
-    """Return the grid between two corners (2,), metres; raise if it is too large at `each` bytes per cell."""
+    """Return the grid of `level` between the south-west corner `low` and the north-east corner `high`, (2,) metres.
+
+    Raises:
+        SettingsError: the grid is too large at `each` bytes per cell.
+    """
     refuse_too_large(low, high, elevation.cell_at(level), each)
     return elevation.layer(level).window((low[0], high[0]), (low[1], high[1]))
 
@@ -177,7 +184,7 @@ def box_in(grid: Grid, part: Grid) -> Box:
 
 
 def changed(found: Heights, known: ElevationMap, where: Box) -> Heights:
-    """Return the heights of a step for the box `where`, with cells set to UNSEEN where the `known` map is unchanged."""
+    """Return the heights `found` for the box `where` of the map `known`, with unchanged cells set to UNSEEN."""
     height, sigma, flags, rgb = (getattr(known, k)[where] for k in ("height", "sigma", "flags", "rgb"))
     same = (found.height == height) & (found.sigma == sigma) & (found.flags == flags)
     same &= (found.rgb == rgb).all(axis=2)
@@ -275,7 +282,7 @@ class RecursiveMapper:
         return steps
 
     def _views_now(self, most: int | None = None) -> list[View]:
-        """Return the newest keyframes as views, with the newest estimates of their poses."""
+        """Return the `most` newest keyframes (None: as many as the window holds) as views, with their newest poses."""
         known = self._newest.posterior if self._newest is not None else None
         newer = {m.t_ns: m for m in known.motions} if known is not None else None
         return views_of(self.store.keyframes[-(most or self._tuning.kept_by_ring) :], self._rig, newer)

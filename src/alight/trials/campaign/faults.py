@@ -49,9 +49,9 @@ def _time_left(v: SteeredFlight) -> float:
 
 
 def _come(how: Callable[..., object], v: SteeredFlight, n: Numbers, speed: float) -> None:
-    """Move a body to the vehicle by calling `how`. It starts at the distance drawn in `n`, or nearer to be in time.
+    """Move a car or a person to the vehicle `v` at `speed` m/s, by `how`, the method of `v` for such a body.
 
-    It brakes for up to 2 s.
+    It starts at the drawn distance `n["from"]`, metres, or nearer to be in time. It brakes for up to 2 s.
     """
     east, north, _ = (float(c) for c in v.true_pose.translation)
     x, y = _towards(n, min(n["from"], speed * max(_time_left(v) - 2.0, 0.0)))

@@ -48,7 +48,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Iterable[float]) -> Spread:
-        """Return the spread of some values."""
+        """Return the median and the 95th percentile of the values."""
         v = np.array(list(values), np.float64)
         return cls(float(np.median(v)), float(np.percentile(v, 95))) if v.size else cls(None, None)
 
@@ -74,16 +74,16 @@ class CampaignNumbers:
     p_at_commit: tuple[PBin, ...]
     looks: tuple[LookChange, ...]
     looks_each: float | None  # mean number of looks per landing
-    seconds: Spread  # of landings that touched down
-    distance: Spread  # metres, of landings that touched down
-    cpu_s: Spread  # of all landings that did not fail
-    cpu_of: dict[str, Spread]  # of the parts of a landing
+    seconds: Spread  # length of landings that touched down
+    distance: Spread  # metres flown, of landings that touched down
+    cpu_s: Spread  # s of CPU time per landing, of all landings that did not fail
+    cpu_of: dict[str, Spread]  # s of CPU time per landing, by part: simulator, navigation, mapping, judging, link
     cpu_most: float | None  # s, most of one landing
     cpu_within: float | None  # share of landings that took no more than `CPU_LIMIT`
 
 
 def unsafe_bound(unsafe: int, landings: int) -> float:
-    """Return the upper 95 % confidence bound of the unsafe share (Clopper and Pearson 1934); 0 of N: about 3/N."""
+    """Return the upper 95 % confidence bound of `unsafe` / `landings` (Clopper and Pearson 1934); 0 of N: about 3/N."""
     if unsafe >= landings:
         return 1.0
     return float(betaincinv(unsafe + 1, landings - unsafe, 0.95))

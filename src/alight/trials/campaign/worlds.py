@@ -29,7 +29,7 @@ def is_factory(scene: str) -> bool:
 
 
 def made_world(name: str, seed: int) -> World:
-    """Return the world that a factory makes from a seed.
+    """Return the world that the factory called `name` (`package.module:factory`) makes from a seed.
 
     Raises:
         InputError: the factory cannot be imported, raises, or does not return an `alight_sim.world.World`.
@@ -52,7 +52,7 @@ def made_world(name: str, seed: int) -> World:
 
 
 def _module(name: str) -> ModuleType:
-    """Import the module of a factory, also from the working directory, as `python -m` does."""
+    """Import the module of the factory called `name`, also from the working directory, as `python -m` does."""
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
     module = name.partition(":")[0]
