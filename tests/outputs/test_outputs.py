@@ -38,6 +38,7 @@ from alight.records import (
     Sites,
     Terrain,
     Waypoint,
+    Wire,
 )
 from alight.settings import Settings
 
@@ -180,7 +181,7 @@ def test_hazards_on_coarser_cells_are_written_on_the_grid_of_the_heights(tmp_pat
     e = elevation()
     arrays = ("height", "sigma", "flags", "views", "rgb", "residual")
     e = replace(e, grid=cut, **{name: getattr(e, name)[:-1] for name in arrays})
-    of_cells = [f.name for f in fields(HazardMap) if f.name != "grid"]
+    of_cells = [f.name for f in fields(HazardMap) if isinstance(getattr(fine, f.name), np.ndarray)]
     blocks = {name: getattr(fine, name)[::2, ::2] for name in of_cells}
     coarse = HazardMap(cut.coarser(2), **blocks)
     write_run(some_run(elevation=e, terrain=None, hazards=coarse), tmp_path)
@@ -222,8 +223,17 @@ def test_sites_follow_rfc_7946(out: Path) -> None:
     assert best["properties"]["terrain"] == "short_grass"
 
 
+def test_wires_are_written_with_the_heights_of_both_ends(tmp_path: Path) -> None:
+    wire = Wire(np.array([2.0, 3.0, 6.0]), np.array([5.0, 7.0, 6.5]), 0.91)
+    write_run(some_run(hazards=replace(hazards(), wires=(wire,))), tmp_path)
+    (line,) = json.loads((tmp_path / "wires.geojson").read_text())["features"]
+    (_, _, low), (_, _, high) = line["geometry"]["coordinates"]
+    assert high - low == pytest.approx(0.5, abs=1e-3)
+    assert line["properties"] == {"p_wire": 0.91, "length_m": 5.0}
+
+
 PROPERTIES = {
-    *("kind", "rank", "p_safe", "p_relief", "p_obstacle", "p_ground", "quality", "slope_deg", "roughness_m"),
+    *("kind", "rank", "p_safe", "p_relief", "p_obstacle", "p_ground", "p_wires", "quality", "slope_deg", "roughness_m"),
     *("clearance_m", "radius_m", "resolved_m", "terrain", "heading_deg", "east_m", "north_m", "height_sigma_m"),
 }
 

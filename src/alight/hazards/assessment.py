@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from alight.arrays import F32, U16, Mask
 from alight.hazards.evidence import Evidence, evidence_of
 from alight.hazards.factors import factors_of, margins_over_sigma
 from alight.hazards.touchdown import Inputs, Touchdowns, measure
+from alight.hazards.wires import no_wire, under_wires
 from alight.raster import clearance_of, disc_any, disc_max, disc_mean, log_brightness
-from alight.records import NOTHING_MISSING, ElevationMap, Hazard, HazardMap, MissingVeto, TerrainMap, is_site
+from alight.records import NOTHING_MISSING, ElevationMap, Hazard, HazardMap, MissingVeto, TerrainMap, Wire, is_site
 from alight.settings import HazardsSettings, Lander
 
 
@@ -78,6 +81,7 @@ def assess(
     missing: MissingVeto = NOTHING_MISSING,
     passed: Mask | None = None,
     came: Mask | None = None,
+    wires: Sequence[Wire] = (),
 ) -> HazardMap:
     """Judge a touchdown centred on each cell, at the worst heading.
 
@@ -93,6 +97,7 @@ def assess(
         missing: vetoes that could not be applied for want of data.
         passed: (R, C) mask of cells that a moving object crossed recently; None: no cell.
         came: (R, C) mask of cells where a person or object recently came to stand; None: no cell.
+        wires: wires over the ground, found and doubtful.
 
     Raises:
         ValueError: the two maps have different grids.
@@ -105,12 +110,17 @@ def assess(
     for where, margin in ((passed, settings.traffic_margin), (came, 0.0)):
         if where is not None and where.any():
             _refuse(reasons, disc_any(where, lander.reach + margin, on.cell), Hazard.TRAFFIC)
+    if wires:
+        _refuse(reasons, under_wires(wires, elevation.grid, lander), Hazard.WIRE)
     quality, f = _quality(found, on), factors_of(found, on, missing)
     judged, slope, roughness, step = ~(found.edge | found.unknown), found.slope, found.footprint.roughness, found.step
     del found  # a third of the memory needed to judge a large map
-    for factor in (f.relief, f.obstacle, f.ground):
+    p_wires = no_wire(wires, elevation.grid, lander)
+    nearer = np.fmin(f.settles_at, np.float32(0.5) * elevation.picture_sampling)  # shows a line twice as wide
+    settles_at = np.where(p_wires < 1, nearer, f.settles_at)
+    for factor in (f.relief, f.obstacle, f.ground, p_wires):
         factor[~judged] = np.nan
-    p = f.relief * f.obstacle * f.ground
+    p = f.relief * f.obstacle * f.ground * p_wires
     p[judged & (reasons != 0)] = 0
     if land_cover is None:
         f.ground[:] = np.nan
@@ -118,5 +128,6 @@ def assess(
     return HazardMap(
         grid=elevation.grid, slope=slope, roughness=roughness, step=step,
         clearance=clearance_of(reasons == 0, on.cell), p_safe=p, p_relief=f.relief, p_obstacle=f.obstacle,
-        p_ground=f.ground, resolved=f.resolved, settles_at=f.settles_at, quality=quality, reasons=reasons,
+        p_ground=f.ground, p_wires=p_wires, resolved=f.resolved, settles_at=settles_at, quality=quality,
+        reasons=reasons, wires=tuple(wires),
     )  # fmt: skip

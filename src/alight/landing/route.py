@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -14,9 +15,10 @@ from alight.arrays import F64, Mask
 from alight.geometry import Grid
 from alight.landing.wind import ground_speed, is_from_behind
 from alight.raster import block_quantile, upsample
-from alight.records import ElevationMap, Route, Site, Waypoint, is_measured
+from alight.records import ElevationMap, Route, Site, Waypoint, Wire, is_measured, nearest_wire
 from alight.settings import RouteSettings
 
+WIRE_BESIDE, WIRE_ABOVE, WIRE_BEYOND = 1.0, 1.0, 4.0  # metres: how far a wire may be from where it was found
 UNMAPPED = 0.05  # largest unmapped share of the ground beside the path, as in `executive.unmapped`
 
 
@@ -45,10 +47,10 @@ def along_way(start: F64, to: F64, grid: Grid, width: float) -> tuple[F64, Mask]
     return share, x * x + y * y <= (width + grid.cell / 2) ** 2
 
 
-def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> _Corridor:
+def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float, wires: Sequence[Wire]) -> _Corridor:
     at = np.array([site.east, site.north])
     share, near = along_way(start, at, elevation.grid, width)
-    top = Obstructions.of(elevation).top
+    top = Obstructions.of(elevation, wires).top
     here, known = near & np.isfinite(top), np.isfinite(top)
     unknown = _track_unknown(start, site, elevation, elevation.trusted)
     if not unknown:  # both ends lie on the map
@@ -66,8 +68,10 @@ class Obstructions:
     rise: F64  # (R, C) metres, of doubtful heights above the ground around them; NaN elsewhere
 
     @classmethod
-    def of(cls, elevation: ElevationMap) -> Obstructions:
+    def of(cls, elevation: ElevationMap, wires: Sequence[Wire] = ()) -> Obstructions:
         """Derive obstacle heights from a map: trusted heights plus two sigma, block medians of doubtful heights.
+
+        Ground under a wire, found or doubtful, is as high as the wire.
 
         In a tree's crown most heights are doubtful, by several metres. Single heights may be wrong, so each doubtful
         cell gets the median of its block of 0.5 m. `rise` is this median above the lowest heights of its own block of 2
@@ -81,7 +85,11 @@ class Obstructions:
         low = cv2.erode(np.where(np.isfinite(low), low, np.float32(np.inf)), np.ones((3, 3), np.uint8))
         rise = np.where(elevation.trusted, np.nan, about - upsample(low, wide, shape))
         surely = elevation.height.astype(np.float64) + 2 * elevation.sigma.astype(np.float64)
-        return cls(np.where(elevation.trusted, surely, np.where(np.isfinite(height), about, np.nan)), rise)
+        top = np.where(elevation.trusted, surely, np.where(np.isfinite(height), about, np.nan))
+        if wires:
+            distance, up = nearest_wire([w.longer(WIRE_BEYOND) for w in wires], elevation.grid)
+            top = np.where(distance <= WIRE_BESIDE, np.fmax(top, up + WIRE_ABOVE), top)
+        return cls(top, rise)
 
 
 def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Mask) -> bool:
@@ -211,7 +219,9 @@ def _timed(
     return tuple(out)
 
 
-def plan_route(site: Site, elevation: ElevationMap, vehicle_position: F64, settings: RouteSettings) -> Route:
+def plan_route(
+    site: Site, elevation: ElevationMap, vehicle_position: F64, settings: RouteSettings, wires: Sequence[Wire] = ()
+) -> Route:
     """Plan the route to a point above the site and straight down, clear of all mapped obstacles up to that point.
 
     Args:
@@ -220,6 +230,7 @@ def plan_route(site: Site, elevation: ElevationMap, vehicle_position: F64, setti
         vehicle_position: (3,) metres, world.
         settings: heights, speeds, clearance above and beside the path, and the wind if it is known. The air speed stays
             within `air_speed`, and no transit descends in a tail wind.
+        wires: wires over the ground.
 
     Returns:
         The way-points from the vehicle's position to the touchdown, with speed towards each and time at it. Warnings
@@ -227,7 +238,7 @@ def plan_route(site: Site, elevation: ElevationMap, vehicle_position: F64, setti
         wind.
     """
     start = np.asarray(vehicle_position, dtype=np.float64)
-    way = _corridor(start, site, elevation, settings.clearance)
+    way = _corridor(start, site, elevation, settings.clearance, wires)
     wind = None if settings.wind is None else np.array(settings.wind, np.float64)
     heights = _heights(start, site, way, settings, wind)
     warnings = []

@@ -33,6 +33,7 @@ REASON_WORDS = {
     Hazard.CLEARANCE: "leaves the rotor or the belly no room",
     Hazard.TERRAIN: "is covered by what cannot be landed on (water, plants, structures)",
     Hazard.TRAFFIC: "is where something moved a moment ago",
+    Hazard.WIRE: "lies under a wire",
     Hazard.UNKNOWN: "has unknown ground within the footprint",
     Hazard.EDGE: "is too near to the map's edge",
     Hazard.DOUBT: "meets every limit, but not surely enough",
@@ -128,6 +129,7 @@ class _Choice:
             "relief": float(hazards.p_relief[at]),
             "obstacle": float(hazards.p_obstacle[at]),
             "ground": float(hazards.p_ground[at]),
+            "wires": 1.0 if hazards.p_wires is None else float(hazards.p_wires[at]),
         }
         doubt: Doubt = min(factors, key=lambda k: np.nan_to_num(factors[k], nan=1.0))
         look = None
@@ -137,8 +139,9 @@ class _Choice:
         return Site(
             rank=rank, east=east, north=north, up=up, height_sigma=sigma, p_safe=float(hazards.p_safe[at]),
             p_relief=factors["relief"], p_obstacle=factors["obstacle"], p_ground=factors["ground"],
-            resolved=float(hazards.resolved[at]), quality=float(hazards.quality[at]), slope=float(hazards.slope[at]),
-            roughness=float(hazards.roughness[at]), clearance=room, radius=self.lander.radius + room,
+            p_wires=factors["wires"], resolved=float(hazards.resolved[at]), quality=float(hazards.quality[at]),
+            slope=float(hazards.slope[at]), roughness=float(hazards.roughness[at]), clearance=room,
+            radius=self.lander.radius + room,
             terrain=self._landing_class(east, north), heading=_heading(east, north, self.observer),
             doubt=doubt if candidate else None, look=look,
         )  # fmt: skip

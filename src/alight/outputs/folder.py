@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 RUN_JSON = "run.json"
 FILES = (
     *("dem.tif", "flags.tif", "ortho.tif", "terrain.tif", "safe.tif", "reasons.tif", "sites.geojson", "route.plan"),
-    *("route.geojson", "trajectory.tum", "trajectory.csv", "report.html"),
+    *("route.geojson", "wires.geojson", "trajectory.tum", "trajectory.csv", "report.html"),
 )
 KNOWN = (RUN_JSON, *FILES, "hazards.tif", "heights.tif")  # the last two are written by `alight hazards`
 BY_OTHERS = (".DS_Store", "Thumbs.db", "desktop.ini", ".nfs*", "*.aux.xml")  # file managers, NFS, GDAL and QGIS
@@ -75,6 +75,15 @@ def _route(r: RunResult) -> Contents:
     return dict.fromkeys(("route.plan", "route.geojson"), why)
 
 
+def _wires(r: RunResult) -> Contents:
+    if r.hazards is None:
+        return {"wires.geojson": "the ground was not judged"}
+    wires = r.hazards.wires
+    if wires and not r.georeferenced:  # that there is none needs no place on Earth
+        return {"wires.geojson": NO_PLACE}
+    return {"wires.geojson": lambda: vectors.json_bytes(vectors.wires_geojson(wires, r.local))}
+
+
 def report_file(result: RunResult) -> Contents:
     """Return the report as an entry for `write_folder`."""
     return {"report.html": lambda: report.render(result).encode("utf-8", vectors.UNENCODABLE)}
@@ -87,7 +96,7 @@ def contents(r: RunResult) -> Contents:
         name: partial(make, r.motions) if r.motions else "the motion was not estimated" for name, make in makers.items()
     }
     # the answer first: on a full disk, the small and most important files still fit
-    return _sites(r) | _route(r) | motion | _rasters(r) | report_file(r) | dict(r.not_written)
+    return _sites(r) | _route(r) | _wires(r) | motion | _rasters(r) | report_file(r) | dict(r.not_written)
 
 
 def timing_summary(timings: Mapping[str, Any]) -> dict[str, dict[str, float]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import LocalFrame
-from alight.records import Motion, NextView, PlaceSigma, Route, Site, Sites, Waypoint
+from alight.records import Motion, NextView, PlaceSigma, Route, Site, Sites, Waypoint, Wire
 
 COLUMNS = (
     "t_ns,east_m,north_m,up_m,q_w,q_x,q_y,q_z,v_e,v_n,v_u,"
@@ -52,6 +52,7 @@ def site_properties(site: Site, look: Sequence[float | None] | None = None) -> d
         "p_relief": number(site.p_relief, 5),
         "p_obstacle": number(site.p_obstacle, 5),
         "p_ground": number(site.p_ground, 5),
+        "p_wires": number(site.p_wires, 5),
         "quality": number(site.quality, 5),
         "slope_deg": degrees(site.slope),
         "roughness_m": number(site.roughness, 4),
@@ -139,6 +140,21 @@ def route_geojson(route: Route, local: LocalFrame) -> dict[str, Any]:
     }
     points = [feature("Point", xyz, p) for xyz, p in zip(positions, properties, strict=True)]
     return {"type": "FeatureCollection", "features": [feature("LineString", positions, line), *points]}
+
+
+def wires_geojson(wires: Sequence[Wire], local: LocalFrame) -> dict[str, Any]:
+    """Return the wires over the ground as GeoJSON: a line each, with the height of both ends."""
+    return {
+        "type": "FeatureCollection",
+        "features": [
+            feature(
+                "LineString",
+                [lon_lat_height(local, *end) for end in (w.start, w.end)],
+                {"p_wire": number(w.chance, 3), "length_m": number(w.length, 2)},
+            )
+            for w in wires
+        ],
+    }
 
 
 def plain(thing: Any) -> Any:

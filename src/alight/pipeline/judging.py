@@ -12,9 +12,10 @@ from alight.elevation import on_cells_up_to
 from alight.landing import sites
 from alight.landing.reserve import Reserve
 from alight.parallax.orthophoto import orthophoto
+from alight.parallax.wires.find import find_wires
 from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping import MapSnapshot
-from alight.pipeline.remembered import NOWHERE, CoverMemory, Remembered, shown_at, traffic
+from alight.pipeline.remembered import NOWHERE, CoverMemory, Remembered, WireMemory, shown_at, traffic
 from alight.pipeline.timing import Timings
 from alight.raster import upsample
 from alight.records import (
@@ -82,7 +83,11 @@ class Verdict:
             self,
             elevation=frame.elevation(self.elevation),
             land_cover=land_cover and replace(land_cover, grid=frame.grid(land_cover.grid)),
-            hazards=replace(hazards, grid=frame.grid(hazards.grid)),
+            hazards=replace(
+                hazards,
+                grid=frame.grid(hazards.grid),
+                wires=tuple(w.moved(frame.offset_world) for w in hazards.wires),
+            ),
             sites=frame.sites(self.sites),
             frame=replace(frame, offset_world=np.zeros(3)),
         )
@@ -98,6 +103,7 @@ class JudgingMemory:
     warnings: tuple[str, ...] = ()  # warnings on sites after the motion was reinitialised
     roofs: Remembered = NOWHERE  # flat roofs, in the map frame: maps from low heights do not show the ground around
     cover: CoverMemory = field(default_factory=CoverMemory)  # land cover, in the map frame
+    wires: WireMemory = field(default_factory=WireMemory)  # wires, in the map frame
 
     @property
     def reserve(self) -> Reserve:
@@ -107,7 +113,9 @@ class JudgingMemory:
     def tied(self, tie: Tie, frame: MapFrame) -> JudgingMemory:
         """Return the memory moved to another map frame, with a warning that counts the remaining sites."""
         before = len(self.kept.sites)
-        moved = replace(self, roofs=self.roofs.moved(*tie), cover=self.cover.moved(*tie))
+        moved = replace(
+            self, roofs=self.roofs.moved(*tie), cover=self.cover.moved(*tie), wires=self.wires.moved(tie.shift)
+        )
         if not before:
             return moved
         moved = moved.with_reserve(self.kept.tied(*tie, frame.frame_id), frame)
@@ -148,6 +156,9 @@ class JudgingLane:
         """Return the verdict on a map: land cover, hazards, sites, and candidates with next views."""
         s, frame = self._settings, seen.frame
         self._follow(frame)
+        t_ns = max((v.t_ns for v in seen.views), default=0)
+        with self._timings.of("wires"):
+            self._search_wires(seen)
         with self._timings.of("finer pixels"):
             elevation = as_judged(seen, s.lander)
         _tidy(elevation)
@@ -155,17 +166,26 @@ class JudgingLane:
         if s.terrain.enabled:
             with self._timings.of("terrain"):
                 land_cover = find_land_cover(elevation, s.terrain, self._appearance)
-                land_cover = self._with_earlier(land_cover, max((v.t_ns for v in seen.views), default=0))
+                land_cover = self._with_earlier(land_cover, t_ns)
             _tidy(elevation)
         with self._timings.of("hazards"):
             passed, came = traffic(seen.passed, elevation.grid, land_cover), seen.came.on(elevation.grid)
-            found = hazards.assess(elevation, land_cover, s.lander, s.hazards, seen.missing, passed, came)
+            found = hazards.assess(
+                elevation, land_cover, s.lander, s.hazards, seen.missing, passed, came, self.memory.wires.wires
+            )
         _tidy(elevation)
         with self._timings.of("sites"):
             chosen = sites.choose_sites(found, land_cover, elevation, s.sites, s.lander, observer(seen))
             apart = sites.separation(s.sites, s.lander)
             self.memory = self.memory.with_reserve(self.memory.kept.updated(chosen, found, apart), frame)
         return Verdict(without_water(seen.elevation, land_cover), land_cover, found, chosen, frame, seen.missing)
+
+    def _search_wires(self, seen: MapSnapshot) -> None:
+        """Look for wires if enough views are new, and remember them."""
+        known = self.memory.wires
+        if known.is_search_due(seen.views):
+            found = find_wires(seen.views, on_cells_up_to(seen.elevation, self._settings.lander.judging_cell))
+            self.memory = replace(self.memory, wires=known.with_search(found, seen.views, seen.elevation.grid))
 
     def _with_earlier(self, land_cover: TerrainMap, t_ns: int) -> TerrainMap:
         """Add the land cover to the memory, and return it with the roofs (G13c) and doubts (T8) of earlier maps."""

@@ -16,7 +16,7 @@ from alight.pipeline.mapping import MappingLane, MapSnapshot
 from alight.pipeline.navigation import NavigationLane, TimedPoses
 from alight.pipeline.policy import FlightPolicy
 from alight.pipeline.timing import Clock, StageProgress, Timings, unreported
-from alight.records import Decision, PriorHeights, Rig, Route, SettingsError, Sites
+from alight.records import Decision, PriorHeights, Rig, Route, SettingsError, Sites, Wire
 from alight.settings import ImuNoise, RouteSettings, StageSettings
 
 
@@ -99,7 +99,7 @@ def conclude(
         seen = replace(seen, elevation=seen.elevation.refused())
     verdict = judging.judge(seen).in_world()
     sites = replace(verdict.sites, reason=trajectory.distrust or verdict.sites.reason)
-    route = _route(sites, seen, settings.route)
+    route = _route(sites, seen, settings.route, verdict.hazards.wires)
     progress("judging", 1.0)
     return replace(
         moved, sites=sites, elevation=verdict.elevation, terrain=verdict.land_cover, hazards=verdict.hazards,
@@ -109,9 +109,9 @@ def conclude(
     )  # fmt: skip
 
 
-def _route(sites: Sites, seen: MapSnapshot, settings: RouteSettings) -> Route | None:
+def _route(sites: Sites, seen: MapSnapshot, settings: RouteSettings, wires: tuple[Wire, ...]) -> Route | None:
     if not sites.sites:
         return None
     vehicle, elevation = seen.frame.point(seen.position), seen.frame.elevation(seen.elevation)
-    way = plan_route(sites.sites[0], elevation, vehicle, settings)
+    way = plan_route(sites.sites[0], elevation, vehicle, settings, wires)
     return replace(way, frame_id=seen.frame.frame_id)

@@ -8,6 +8,7 @@ dry grass is often classified as bare, and it sways.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,11 +17,14 @@ from alight.arrays import F32, F64, I64, U16, Mask
 from alight.geometry import Grid
 from alight.landing.reserve import SIGMAS_OF_TIE
 from alight.raster import cells_as_blocks, upsample, without_specks
-from alight.records import Flag, Terrain, TerrainMap
+from alight.records import Flag, Terrain, TerrainMap, View, Wire
 
 CELL = 0.5  # metres, size of the remembered cells
 SHARE = 0.5  # least covered share of a remembered cell
 FADES = 60.0  # s, age that doubles the novelty of an earlier look
+WIRES_KEPT = 120.0  # s, for which a wire is remembered: from below it is not seen
+SEEN_FROM = 3.0  # metres above a wire, from which a search finds it
+RENEWED = 0.4  # share of new exposures from which a map is searched for wires again
 SURE = 0.3  # metres, largest sigma of a tie at which earlier looks are kept
 
 
@@ -185,3 +189,79 @@ class CoverMemory:
             return CoverMemory()
         east, north = self.grid.east + float(shift[0]), self.grid.north + float(shift[1])
         return replace(self, grid=replace(self.grid, east=east, north=north))
+
+
+@dataclass(frozen=True, eq=False)
+class RememberedWire:
+    """A wire, and how often it was found and missed."""
+
+    wire: Wire
+    t_ns: int  # time of the map that showed it last
+    found: int = 1  # maps that showed it
+    missed: int = 0  # maps over its ground, from above it, that did not
+
+    def lasts(self, t_ns: int) -> bool:
+        """Whether it is still believed at a time: seen lately, and not missed more often than found."""
+        return t_ns - self.t_ns <= round(WIRES_KEPT * 1e9) and self.missed <= self.found
+
+    def looked_for(self, grid: Grid, height: float) -> RememberedWire:
+        """Return the wire after a search that did not find it on a map, from cameras at `height`, metres up."""
+        middle = 0.5 * (self.wire.start + self.wire.end)
+        row, col = grid.index(middle[0], middle[1])
+        inside = 0 <= row < grid.rows and 0 <= col < grid.cols
+        above = height > middle[2] + SEEN_FROM
+        return replace(self, missed=self.missed + 1) if inside and above else self
+
+
+@dataclass(frozen=True, eq=False)
+class WireMemory:
+    """Wires found on this map and earlier ones, in a map frame; immutable.
+
+    A search costs as much as a verdict, and shows little new from the same views. So a map is searched once enough of
+    its exposures are new.
+    """
+
+    kept: tuple[RememberedWire, ...] = ()
+    searched_ns: frozenset[int] = frozenset()  # exposures of the newest map that was searched
+
+    @property
+    def wires(self) -> tuple[Wire, ...]:
+        """The wires."""
+        return tuple(k.wire for k in self.kept)
+
+    def is_search_due(self, views: Sequence[View]) -> bool:
+        """Whether enough exposures of a map's views have not been searched."""
+        times = {v.t_ns for v in views}
+        return len(times - self.searched_ns) > RENEWED * len(times)
+
+    def with_search(self, wires: Sequence[Wire], views: Sequence[View], grid: Grid) -> WireMemory:
+        """Return the memory after a search of a map.
+
+        Args:
+            wires: wires that were found; the longer of two that cover each other is kept.
+            views: views of the map.
+            grid: grid of the map.
+        """
+        t_ns, kept = max(v.t_ns for v in views), list(self.kept)
+        height = float(np.median([v.centre[2] for v in views]))
+        new = list[RememberedWire]()
+        for w in wires:
+            same = [k for k in kept if k.wire.covers(w) or w.covers(k.wire)]
+            kept = [k for k in kept if k not in same]
+            new.append(
+                RememberedWire(
+                    _longest([w, *(k.wire for k in same)]), t_ns, 1 + max((k.found for k in same), default=0)
+                )
+            )
+        later = new + [k.looked_for(grid, height) for k in kept]
+        return WireMemory(tuple(k for k in later if k.lasts(t_ns)), frozenset(v.t_ns for v in views))
+
+    def moved(self, shift: F64) -> WireMemory:
+        """Return a copy for a map frame where positions are larger by `shift`, metres."""
+        return replace(self, kept=tuple(replace(k, wire=k.wire.moved(shift)) for k in self.kept))
+
+
+def _longest(wires: Sequence[Wire]) -> Wire:
+    """Return the longest of the surest wires, at the best of their chances."""
+    best = max(wires, key=lambda w: (w.is_found, w.length))
+    return replace(best, chance=max(w.chance for w in wires))

@@ -66,3 +66,4 @@ from alight.records.telemetry import (
     Telemetry,
     is_absolute,
 )
+from alight.records.wires import Wire, nearest_wire

@@ -10,9 +10,10 @@ import numpy as np
 
 from alight.arrays import F32, F64, U16, Mask
 from alight.records.surface import OnGrid, Terrain
+from alight.records.wires import Wire
 
 Kind = Literal["site", "candidate"]
-Doubt = Literal["relief", "obstacle", "ground"]  # the factors of P(safe)
+Doubt = Literal["relief", "obstacle", "ground", "wires"]  # the factors of P(safe)
 
 
 class Hazard(IntFlag):
@@ -27,6 +28,7 @@ class Hazard(IntFlag):
     EDGE = 64  # the footprint leaves the map
     DOUBT = 128  # every limit is met, but P(safe) is below the limit
     TRAFFIC = 256  # a moving object crossed or passed the cell recently
+    WIRE = 512  # a wire hangs over the footprint or beside it
 
 
 def is_site(p_safe: F32, least: float) -> Mask:
@@ -70,6 +72,8 @@ class HazardMap(OnGrid):
     settles_at: F32  # (R, C) metres, ground width of a pixel that would settle the doubt; NaN: no width would
     quality: F32  # (R, C) Q of the paper, eq. 5: 0 is best, more negative is worse
     reasons: U16  # (R, C) bits of Hazard; 0 = safe
+    p_wires: F32 | None = None  # (R, C) probability that no doubtful line is a wire over it; None: 1
+    wires: tuple[Wire, ...] = ()  # wires over the ground, found and doubtful
 
 
 @dataclass(frozen=True)
@@ -111,6 +115,7 @@ class Site:
     height_sigma: float  # metres
     doubt: Doubt | None = None  # candidate: the smallest factor of P(safe); None: a site
     look: NextView | None = None  # candidate: the next view; None: no view would settle the doubt
+    p_wires: float = 1.0
 
     @property
     def kind(self) -> Kind:

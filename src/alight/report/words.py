@@ -11,7 +11,12 @@ from alight.records import Doubt, NextView, RunResult, Site, p_safe_text
 
 UNKNOWN = "unknown"
 
-DOUBTS: Mapping[Doubt, str] = {"relief": "relief", "obstacle": "unseen obstacles", "ground": "kind of ground"}
+DOUBTS: Mapping[Doubt, str] = {
+    "relief": "relief",
+    "obstacle": "unseen obstacles",
+    "ground": "kind of ground",
+    "wires": "wires",
+}
 
 
 def metres(value: float) -> str:

@@ -68,7 +68,7 @@ class ClearWay:
 
     def _obstructions_of(self, seen: MapVerdict) -> Obstructions:
         if self._obstructions is None or seen.number != self._number:
-            self._number, self._obstructions = seen.number, Obstructions.of(seen.elevation)
+            self._number, self._obstructions = seen.number, Obstructions.of(seen.elevation, seen.hazards.wires)
         return self._obstructions
 
 

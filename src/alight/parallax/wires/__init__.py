@@ -1,0 +1,1 @@
+"""Wires: thin straight lines of single pictures that move by parallax against the ground."""
