@@ -175,7 +175,9 @@ def judge_raster(o: HazardsOptions) -> None:
     for w in result.warnings:
         print_stderr(f"warning: {w}")
     print_answer(result.sites, place, f", {share:.1f} % is safe")
-    print_line(f"HEIGHTS  {ground.settled}")
+    for name in ("heights", "ground"):
+        if name in result.notes:
+            print_line(f"{name.upper()}  {result.notes[name]}")
     judged.save(o.out, o.force)
     print_line(f"report: {o.out / 'report.html'}")
 

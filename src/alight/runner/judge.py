@@ -21,10 +21,7 @@ from alight.sources.raster import GroundRaster
 
 # surveyed heights show every obstacle and lie level, unless the user's settings differ
 SURVEYED = ("tuning.hazards.smoothed=false", "tuning.hazards.tilt_sigma=0.003", "tuning.hazards.noise_length=0.4")
-GROUND_UNSEEN = (
-    "the kind of ground is not judged: heights alone show neither water nor plants, and P(safe) is that of the shape; "
-    "give a picture in colour (--image)"
-)
+GROUND_UNSEEN = "not judged: no picture in colour (--image) shows water or plants, and P is that of the shape"
 IMAGE_UNUSED = "the image is not used: light and shade do not explain it (paint, plants, another time of day)"
 
 
@@ -70,7 +67,8 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Result:
     stages = settings.stages()
     warnings += _too_wide(elevation.grid.cell, stages)
     land_cover = _land_cover(elevation, settings) if ground.image is not None else None
-    warnings += [GROUND_UNSEEN] if land_cover is None else []
+    notes = {"heights": ground.settled} if ground.settled else {}
+    notes |= {"ground": GROUND_UNSEEN} if land_cover is None else {}
     clock.append(time.perf_counter())
     hazards = assess(elevation, land_cover, stages.lander, stages.hazards)
     clock.append(time.perf_counter())
@@ -84,7 +82,7 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Result:
         terrain=land_cover,
         elevation=elevation,
         hazards=hazards,
-        notes={"heights": ground.settled} if ground.settled else {},
+        notes=notes,
         warnings=warnings,
         timings=dict(zip(("sharpen", "terrain", "hazards"), [[float(s)] for s in np.diff(clock)], strict=True)),
     )
