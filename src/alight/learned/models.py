@@ -134,7 +134,7 @@ class Net(FittedTable):
             if len(left) == len(self.terms):
                 out = np.empty((len(left), *values.shape), np.float16)
             i = left.pop(name)
-            standard = np.nan_to_num((values - self.usual[i]) / self.spread[i])  # an unknown feature is usual
+            standard = np.nan_to_num((values - self.usual[i]) / self.spread[i], copy=False)  # unknown: usual
             np.clip(standard, -self.clip, self.clip, out=out[i])
         if left:
             raise ValueError(f"terms of the net that are missing: {', '.join(sorted(left))}")
@@ -181,7 +181,8 @@ class KnownGround(FittedTable):
         centres, out = self.means @ self.whitening, np.empty(len(values), np.float32)
         for first in range(0, len(values), CELLS_AT_A_TIME):
             some = slice(first, first + CELLS_AT_A_TIME)
-            z = np.nan_to_num((values[some] - self.usual) / self.spread).clip(-self.clip, self.clip) @ self.whitening
+            z = np.nan_to_num((values[some] - self.usual) / self.spread, copy=False)
+            z = z.clip(-self.clip, self.clip) @ self.whitening
             square = (z * z).sum(axis=1)[:, None] - 2 * z @ centres.T + (centres * centres).sum(axis=1)
             out[some] = np.maximum(square.min(axis=1), 0) / np.float32(self.limit)
         return out
