@@ -6,6 +6,7 @@ import heapq
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -34,10 +35,20 @@ from alight_sim.world import Poses, World
 START_NS = 1_700_000_000_000_000_000
 NAV_OFFSET_NS = 13_000_000  # offset of the GPS/INS rows, which do not coincide with exposures
 METER = 16  # width in pixels of the picture that exposure control meters
-# one random stream for each source of randomness; append new ones
-WIND, NAV, IMU_BIAS, IMU_NOISE, IMAGE, FAULTS, GAIN, FLAWS = range(8)
-
 S = TypeVar("S", bound=Section)
+
+
+class Stream(IntEnum):
+    """Random stream of each source of randomness; append new ones."""
+
+    WIND = 0
+    NAV = 1
+    IMU_BIAS = 2
+    IMU_NOISE = 3
+    IMAGE = 4
+    FAULTS = 5
+    GAIN = 6
+    FLAWS = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +159,7 @@ class SimulatedFlight:
         """True times, stamps and arrivals of the exposures, and the lost pictures."""
         beats = np.arange(int(self.seconds * self.rate_hz + 1e-9) + 1)
         beat_ns = START_NS + np.round(beats * 1e9 / self.rate_hz).astype(np.int64)
-        return exposures(self.faults, beat_ns, len(self.true_rig.cameras), self.seeds(FAULTS))
+        return exposures(self.faults, beat_ns, len(self.true_rig.cameras), self.seeds(Stream.FAULTS))
 
     @property
     def frame_times(self) -> I64:
@@ -212,7 +223,7 @@ class SimulatedFlight:
     @cached_property
     def biases(self) -> tuple[F64, F64]:
         """True gyroscope biases, rad/s, and accelerometer biases, m/s^2, at `imu_times`, both (N, 3)."""
-        return imu_biases(len(self.imu_times), self.imu, self.seeds(IMU_BIAS))
+        return imu_biases(len(self.imu_times), self.imu, self.seeds(Stream.IMU_BIAS))
 
     # -- events
 
@@ -221,9 +232,10 @@ class SimulatedFlight:
 
         Frames carry the time that the cameras claim. Only late frames are out of the order of stamps.
         """
-        nav = simulated_nav(self.trajectory, self.nav_times, self.since(self.nav_times), self.nav, self.seeds(NAV))
+        path, seeds = self.trajectory, self.seeds
+        nav = simulated_nav(path, self.nav_times, self.since(self.nav_times), self.nav, seeds(Stream.NAV))
         seconds = self.since(self.imu_times)
-        imu = simulated_imu(self.trajectory, self.imu_times, seconds, self.biases, self.imu, self.seeds(IMU_NOISE))
+        imu = simulated_imu(path, self.imu_times, seconds, self.biases, self.imu, seeds(Stream.IMU_NOISE))
         streams: list[Iterator[tuple[int, NavSample | ImuSample | int]]] = [
             ((e.t_ns, e) for e in nav), ((e.t_ns, e) for e in imu),
             ((int(self.exposures.arrival_ns[k]), int(k)) for k in self.exposures.order),
@@ -240,7 +252,7 @@ class SimulatedFlight:
         """Draw the picture (H, W, 3), RGB, of exposure `index` and camera `cam`, even if it was lost."""
         seconds = float(self.since(self.frame_times[index : index + 1])[0])
         light = self.eyes[cam].radiance(self.world, self.camera_at(cam), seconds, Shutter.of(self.imaging))
-        key = int(self.seeds(IMAGE, index, cam).generate_state(1, np.uint64)[0])
+        key = int(self.seeds(Stream.IMAGE, index, cam).generate_state(1, np.uint64)[0])
         return self._glass[cam].expose(light, self._gains[cam][index], key, self.faults.cover(seconds, cam))
 
     @cached_property
@@ -251,14 +263,14 @@ class SimulatedFlight:
     @cached_property
     def _glass(self) -> tuple[Sensor, ...]:
         return tuple(
-            Sensor.of(c.camera, self.imaging, self.seeds(FLAWS, k)) for k, c in enumerate(self.true_rig.cameras)
+            Sensor.of(c.camera, self.imaging, self.seeds(Stream.FLAWS, k)) for k, c in enumerate(self.true_rig.cameras)
         )
 
     @cached_property
     def _gains(self) -> list[F64]:
         seconds = self.since(self.frame_times)
         cams = range(len(self.true_rig.cameras))
-        return [gains(self.imaging, seconds, self.seeds(GAIN, cam), self._metered(cam, seconds)) for cam in cams]
+        return [gains(self.imaging, seconds, self.seeds(Stream.GAIN, cam), self._metered(cam, seconds)) for cam in cams]
 
     def _metered(self, cam: int, seconds: F64) -> F64 | None:
         """Return the (N,) mean light of a camera at times (N,), from tiny pictures; None: exposure control is off."""
@@ -269,7 +281,7 @@ class SimulatedFlight:
         return np.array([float(eye.radiance(self.world, at, float(s)).mean()) for s in seconds])
 
     def seeds(self, *key: int) -> np.random.SeedSequence:
-        """Return the seeds of one random source; `key`: its constant and, for example, the index of the camera."""
+        """Return the seeds of one random source; `key`: its `Stream` and, for example, the index of the camera."""
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
 
@@ -350,7 +362,7 @@ def fly(
             "rig": RigModel.of(rig) if rig else s.rig,
         }
     )
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(WIND,)))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(Stream.WIND,)))
     again = world.scene is not None and world.seed == seed
     trajectory = chart(world, used.flight, rng)
     return SimulatedFlight(world, trajectory, seed, used.rig.rig, used, again, warnings=list(world.warnings))

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from rasterio.windows import Window
 
 from alight.geometry import Pose, quaternion_from_matrix
+from alight.geometry.geodesy import MEAN_RADIUS
 from alight.records import Frame, ImuSample, NavSample, OutputError, Pixels, Rig, RigCamera, Terrain
 from alight_sim.flight import SimulatedFlight
-from alight_sim.rasters import EARTH_RADIUS
 from alight_sim.spans import HEADER
+from alight_sim.truth import BAND
 
-BAND = 512  # rows of a raster written at once: a multiple of its tiles
 JPEG_QUALITY = 90  # of small cameras
 LEAST_BYTES = {"jpg": 0.1, "png": 0.5}  # least bytes per pixel on the disk: plain ground in haze
 NAV_COLUMNS = (
@@ -231,7 +231,7 @@ def _write_truth(flight: SimulatedFlight, root: Path) -> None:
     east, north = truth.grid.xy()
 
     def height(rows: slice) -> NDArray[Any]:
-        fall = (east[None] ** 2 + north[rows, None] ** 2) / (2 * EARTH_RADIUS)  # fall of the ellipsoid below the plane
+        fall = (east[None] ** 2 + north[rows, None] ** 2) / (2 * MEAN_RADIUS)  # fall of the ellipsoid below the plane
         return np.asarray((local.height + truth.height[rows] + fall).astype(np.float32))
 
     _raster(flight, root / "dem.tif", height, "float32", math.nan)

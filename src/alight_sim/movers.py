@@ -12,12 +12,12 @@ from pydantic import Field, model_validator
 
 from alight.arrays import F64
 from alight_sim.kernels.boxes import NUMBERS
+from alight_sim.materials import palette
 from alight_sim.section import Coordinate, Section
 
 Height = Callable[[float, float], float]
-COLOURS = ((0.75, 0.75, 0.74), (0.03, 0.03, 0.035), (0.35, 0.36, 0.38), (0.40, 0.04, 0.03), (0.05, 0.09, 0.25))
 CABIN = (0.55, 0.86, 0.42)  # of the length, the width and the height: the glass house on the body
-NODE = 1.0  # metres along the path between the ground heights under a car
+NODE = 1.0  # metres along the path between the ground heights under a car or a person
 
 
 class Moving(Protocol):
@@ -82,7 +82,8 @@ class Mover:
         if self.traffic.colour is not None:
             return np.tile(np.array(self.traffic.colour), (len(self.starts), 1))
         rng = np.random.default_rng(np.random.SeedSequence([self.seed & 0xFFFFFFFF, 78]))
-        return np.array(COLOURS)[rng.integers(0, len(COLOURS), len(self.starts))]
+        colours = palette("traffic")
+        return np.asarray(colours[rng.integers(0, len(colours), len(self.starts))])
 
     def places_at(self, times: F64) -> tuple[F64, F64]:
         """Return the (T, M, 3) centre of each car's base and (T, M) heading, rad from east to north, at times (s)."""

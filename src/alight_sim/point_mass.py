@@ -11,7 +11,7 @@ import numpy as np
 from alight.arrays import F64
 from alight.geometry import Pose
 from alight.records import Event
-from alight_sim.vehicle import GRAVITY, UPWARDS
+from alight_sim.vehicle import UPWARDS
 
 _REACTION = 0.25  # s, time in which a commanded velocity is reached if the limits allow it
 _APPROACH = 0.9  # 1/s, speed per metre of remaining distance
@@ -135,7 +135,7 @@ class PointMass:
         self._acceleration = self._thrust + keep * (self._acceleration - self._thrust)
 
     def _fall(self, dt: float) -> None:
-        self._acceleration = np.zeros(3) if self.stands else np.array([0.0, 0.0, -GRAVITY])
+        self._acceleration = np.zeros(3) if self.stands else -UPWARDS
         self.position = self.position + self.velocity * dt
         self.velocity = np.zeros(3) if self.stands else self.velocity + self._acceleration * dt
 

@@ -19,6 +19,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinat
 
 from alight.arrays import F32, F64, U8, Mask
 from alight.geometry import Grid, LocalFrame
+from alight.geometry.geodesy import MEAN_RADIUS
 from alight.raster import unreadable
 from alight.records import InputError, Terrain
 from alight_sim.looks import Look
@@ -27,9 +28,7 @@ from alight_sim.spans import TrueSpans
 from alight_sim.things.base import Box, Sheet
 from alight_sim.tiles import SIDE, Tile
 
-EARTH_RADIUS = 6371008.8  # metres, mean
 MOST_CELLS = 60_000_000  # of a world made from rasters, which is held in memory
-NODATA = -3.0e38
 FARTHEST = 50_000.0  # metres from the origin: beyond, east-north-up and the rasters' map differ too much
 
 
@@ -199,7 +198,7 @@ def _warped(
 
 def _heights(raster: SceneRaster, local: LocalFrame, grid: Grid) -> tuple[F32, Mask]:
     """Return (R, C) metres above the origin's horizontal plane, and the (R, C) mask of filled holes."""
-    options = {"nodata": NODATA, "dtype": "float32", "src_nodata": None}
+    options = {"nodata": float(np.finfo(np.float32).min), "dtype": "float32", "src_nodata": None}
     with _opened(raster.height, "height raster") as dataset:
         options["src_nodata"] = dataset.nodata if dataset.nodata is not None else math.nan
         fine = transform_bounds(dataset.crs, local.crs, *dataset.bounds)
@@ -219,7 +218,7 @@ def _heights(raster: SceneRaster, local: LocalFrame, grid: Grid) -> tuple[F32, M
         smooth = gaussian_filter(read[tuple(nearest)], 4.0)
         read = np.where(holes, smooth, read)
     east, north = grid.xy()
-    fall = (east[None] ** 2 + north[:, None] ** 2) / (2.0 * EARTH_RADIUS)  # fall of the ellipsoid below the plane
+    fall = (east[None] ** 2 + north[:, None] ** 2) / (2.0 * MEAN_RADIUS)  # fall of the ellipsoid below the plane
     return (read.astype(np.float64) - local.height - fall).astype(np.float32), np.asarray(holes)
 
 

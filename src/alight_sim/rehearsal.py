@@ -12,8 +12,6 @@ from alight_sim.autopilot.dialects import Doing
 from alight_sim.log import encode_image, write_calibration
 from alight_sim.steered import SteeredFlight
 
-SEPARATION = 46.0  # m, ellipsoid above sea level
-
 
 class CameraFolder:
     """Writer of exposures in the layout of a flight log, one by one.
@@ -66,7 +64,7 @@ class Rehearsal:
     ) -> None:  # fmt: skip
         self.flight = flight
         local = flight.local
-        home = SimulatedHome(local.latitude, local.longitude, local.height - SEPARATION, SEPARATION)
+        home = SimulatedHome.at(local)
         dialect = DIALECTS["px4" if px4 else "ardupilot"]
         self.autopilot = SimulatedAutopilot(dialect, flight, home, EstimateError(wrong, walk=0.05))
         if flight.height_above_ground > 1.0:

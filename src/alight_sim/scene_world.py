@@ -37,7 +37,7 @@ from alight_sim.world import START, Poses
 SHADOW_LIMIT = 0.5  # metres: a ray that clears the ground by more is fully lit
 SHADOW_REACH = 60.0  # metres: longer shadows end here
 HOLLOWS = ((0.5, 2.0), (3.0, 0.5))  # width in metres, gain per metre: hollows of two sizes are darker
-TILE_BYTES, PATCH_BYTES = 768 << 20, 512 << 20  # cache sizes of tiles and patches, bytes
+CACHE_BYTES = 640 << 20  # of the tiles, and of the patches
 MARGIN = 30.0  # metres beyond the extent for which `low` and `high` hold
 
 
@@ -73,8 +73,8 @@ class SceneWorld:
     light: Light = field(default_factory=Light)
     scene: Scene | None = None
     warnings: tuple[str, ...] = ()  # assumptions about the world
-    _tiles: Cache = field(default_factory=lambda: Cache(TILE_BYTES), repr=False)
-    _patches: Cache = field(default_factory=lambda: Cache(PATCH_BYTES), repr=False)
+    _tiles: Cache = field(default_factory=lambda: Cache(CACHE_BYTES), repr=False)
+    _patches: Cache = field(default_factory=lambda: Cache(CACHE_BYTES), repr=False)
     _eyes: dict[tuple[Camera, int], Eye] = field(default_factory=dict, repr=False)
     start = START
 

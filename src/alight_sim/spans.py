@@ -15,21 +15,19 @@ from numpy.typing import NDArray
 from alight.arrays import F64, Mask
 from alight.geometry import Grid
 
-COLUMNS = 11
 CHUNK = 128  # spans whose distances are computed at once
 HEADER = (
     "from east [m],from north [m],from up [m],to east [m],to north [m],to up [m],"
     "sag [m],diameter [m],red,green,blue"
 )  # fmt: skip
+COLUMNS = len(HEADER.split(","))
 
 
 @dataclass(frozen=True, eq=False)
 class TrueSpans:
     """Spans of the world, or of a part of it."""
 
-    table: F64 = field(
-        default_factory=lambda: np.zeros((0, COLUMNS))
-    )  # (N, COLUMNS), one row per span, columns as in `HEADER`
+    table: F64 = field(default_factory=lambda: np.zeros((0, COLUMNS)))  # one row a span, columns as in `HEADER`
 
     @classmethod
     def of(

@@ -17,7 +17,7 @@ from alight_sim.kernels.touchdown import running_sums, touchdown
 from alight_sim.section import Section
 from alight_sim.spans import TrueSpans
 
-BAND = 1024  # rows judged at a time, which limits the memory for running sums
+BAND = 512  # rows of a raster that are made at once, to save memory: a multiple of the tiles of its file
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 from pydantic import Field
+from scipy.constants import g
 from scipy.interpolate import BSpline
 from scipy.linalg import expm
 from scipy.signal import lfilter, ss2tf
@@ -22,8 +23,7 @@ from alight.arrays import F64
 from alight.geometry import Pose
 from alight_sim.section import Section
 
-GRAVITY = 9.80665  # m/s^2
-UPWARDS = np.array([0.0, 0.0, GRAVITY])  # m/s^2, balances gravity, world
+UPWARDS = np.array([0.0, 0.0, g])  # m/s^2, balances gravity, world
 KNOT = 0.25  # s between control points
 DEGREE = 5
 HOLD, DAMPING = 1.2, 0.7  # rad/s and share of critical damping: an autopilot that holds its position against a gust
@@ -223,7 +223,7 @@ def push_left(speed: float, limits: Limits, air: Air, vehicle: SimulatedVehicle)
     """Return the acceleration, m/s^2, possible within the tilt limit at `speed` in the wind; negative: too fast."""
     slant = limits.steepest - math.tan(vehicle.lean_left)
     drag = vehicle.drag * (speed + air.wind)
-    return min(limits.acceleration, (slant * GRAVITY - drag) / (1.0 + slant))  # a faster sink reduces the thrust
+    return float(min(limits.acceleration, (slant * g - drag) / (1.0 + slant)))  # a faster sink reduces the thrust
 
 
 def fly_through(

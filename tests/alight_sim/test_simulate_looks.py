@@ -17,7 +17,7 @@ from alight_sim.kernels.ground import PLAIN, STEP, beside
 from alight_sim.kernels.noise import gradient_noise, noise32, seed32
 from alight_sim.light import Clouds, Light, Wind
 from alight_sim.looks import Look
-from alight_sim.materials import MATERIALS, tables
+from alight_sim.materials import materials, tables
 from alight_sim.movers import Mover, Traffic, boxes_at
 from alight_sim.patch import GroundPatch
 from alight_sim.scene_world import world_of
@@ -165,7 +165,7 @@ def test_detail_agrees_with_numpy():
             value[i] += q * t * t * (3 - 2 * t) * noise / 3.0
         wavelength *= 0.5
         c, s = 0.7986 * c - 0.6018 * s, 0.6018 * c + 0.7986 * s
-    assert MATERIALS[Look.SOIL].ridge == MATERIALS[Look.SOIL].roughening == 0
+    assert materials()[Look.SOIL].ridge == materials()[Look.SOIL].roughening == 0
     assert np.abs(buf[block.VALUE : block.VALUE + block.B] - value).max() < 2e-3
 
 
@@ -373,7 +373,7 @@ def test_shadows_turn_with_the_sun():
 
 
 def test_every_look_has_a_row_and_texture_from_5_to_150_m():
-    assert set(MATERIALS) == set(Look)
+    assert set(materials()) == set(Look)
     assert tables()[0].shape == (len(Look), texture.PARAMS)
     for look in (Look.MEADOW, Look.SOIL, Look.ASPHALT, Look.SAND, Look.ROCK, Look.BROADLEAF):
         for up in (5.0, 40.0, 150.0):

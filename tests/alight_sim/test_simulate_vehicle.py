@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from alight.geometry import so3_exp, so3_log
 from alight_sim import Air, FlightPlan, Limits
 from alight_sim.patterns import line
-from alight_sim.vehicle import CALM, GRAVITY, UPWARDS, VEHICLES, SimulatedVehicle, correlated, fly_through
+from alight_sim.vehicle import CALM, UPWARDS, VEHICLES, SimulatedVehicle, correlated, fly_through
 
 SMOOTH = {"multirotor": VEHICLES["multirotor"], "helicopter": SimulatedVehicle(0.07, math.radians(2.5))}  # no vibration
 PLANS = {
@@ -153,7 +153,7 @@ def test_helicopter_leans_left_in_hover_and_drops_its_nose_with_speed():
     assert math.degrees(math.asin(-left[2])) == pytest.approx(2.5, abs=0.01)  # left side down
     assert forward[2] == pytest.approx(0.0, abs=1e-6)
     fast = flown(FlightPlan(speed=15.0, vehicle="helicopter")).rotations(4.0)
-    assert -fast[2, 0] == pytest.approx(math.sin(math.atan(vehicle.drag * 15.0 / GRAVITY)), abs=3e-3)
+    assert -fast[2, 0] == pytest.approx(math.sin(math.atan(vehicle.drag * 15.0 / UPWARDS[2])), abs=3e-3)
 
 
 def test_helicopter_shakes_at_the_frequencies_of_its_rotor():

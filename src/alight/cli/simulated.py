@@ -19,7 +19,6 @@ if TYPE_CHECKING:  # the simulator is slow to import, and most commands do not n
     from alight_sim.oracle import Touchdown
     from alight_sim.scene import Scene
 
-PLACE = (-20.0, -12.0)  # m east and north in the scene, where a rehearsal begins
 PORT, HEIGHT = 14550, 30.0  # of a rehearsal; m above the ground
 
 
@@ -231,10 +230,11 @@ def _rehearsed(o: RehearseOptions) -> Touchdown | None:
     from alight_sim.rehearsal import Rehearsal
     from alight_sim.steered import SteeredFlight
     from alight_sim.steered.touchdown import judge_flight
+    from alight_sim.world import START
 
-    lander = OracleLander()
+    lander, (east, north, _) = OracleLander(), START
     flight = SteeredFlight(
-        o.scene, o.seed, start=(*PLACE, o.height), wind=(o.wind, 0.0, 0.0), radius=lander.reach, **o.pictures
+        o.scene, o.seed, start=(east, north, o.height), wind=(o.wind, 0.0, 0.0), radius=lander.reach, **o.pictures
     )
     with Rehearsal(flight, o.folder, o.port, o.autopilot == "px4") as rehearsal:
         print_line(f"ready: alight fly --link udp:127.0.0.1:{o.port} --camera {shlex.quote(str(o.folder))} --out OUT")
@@ -253,13 +253,14 @@ def _followed(o: RehearseOptions, link: str) -> Touchdown | None:
     from alight.records import InputError
     from alight.trials.rehearse import follow_vehicle
     from alight_sim.followed import FollowedCameras
+    from alight_sim.world import START
 
-    others = o.autopilot != "ardupilot"
+    others, (east, north, _) = o.autopilot != "ardupilot", START
     given = {"--port": o.port != PORT, "--height": o.height != HEIGHT, "--wind": o.wind > 0.0, "--autopilot": others}
     if any(given.values()):
         which = " and ".join(name for name, is_given in given.items() if is_given)
         raise InputError(f"{which}: the autopilot that is followed decides that; leave it out, or --follow")
-    cameras, found = FollowedCameras(o.scene, o.seed, start=PLACE, **o.pictures), None
+    cameras, found = FollowedCameras(o.scene, o.seed, start=(east, north), **o.pictures), None
     with suppress(KeyboardInterrupt):
         found = follow_vehicle(link, cameras, o.folder, o.seconds, print_line)
     if cameras.left_out:

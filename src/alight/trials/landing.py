@@ -28,10 +28,9 @@ from alight.settings import Settings
 from alight_sim.autopilot import DIALECTS, SimulatedAutopilot, SimulatedHome
 from alight_sim.autopilot.dialects import Doing
 from alight_sim.steered import FlownEstimate, SteeredFlight
+from alight_sim.steered.flight import IMU_RATE_HZ
 
-SEPARATION = 46.0  # m, ellipsoidal height minus altitude above the sea
-IMU_RATE = 100.0  # Hz, as `alight fly` requests it
-STEP, STEPS = 0.01, 5  # s per step of the vehicle, and such steps per step of the pilot
+STEP, STEPS = 1.0 / IMU_RATE_HZ, 5  # s per step of the vehicle, and such steps per step of the pilot
 MOTION_NS, VERDICT_NS = 100_000_000, 500_000_000  # from the arrival of an exposure to its motion, its verdict
 READY = 30.0  # s, longest wait for the autopilot and the motion before the landing begins
 LONGEST = 1.5  # times the time budget, after which the trial ends
@@ -140,10 +139,10 @@ class Trial:
         self._pipeline = _MeasuredPipeline(vehicle.rig, "flight", self._settings, options)
         self._pipeline.costs = self._costs
         local = vehicle.local
-        home = SimulatedHome(local.latitude, local.longitude, local.height - SEPARATION, SEPARATION)
+        home = SimulatedHome.at(local)
         self.autopilot = SimulatedAutopilot(DIALECTS[firmware], vehicle, home, FlownEstimate(vehicle))
         self.autopilot.hover(Doing.PILOT)
-        self._ours = Autopilot({"HIGHRES_IMU": IMU_RATE}, TelemetryEvents(local))
+        self._ours = Autopilot({"HIGHRES_IMU": IMU_RATE_HZ}, TelemetryEvents(local))
         self.link = TrialLink(self._ours, self.autopilot)
         while self._ours.vehicle is None:  # the autopilot sends its first heartbeat
             self.autopilot.step(STEP)

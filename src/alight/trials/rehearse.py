@@ -10,13 +10,13 @@ from typing import Any
 
 from alight.flight.autopilot import Autopilot, Link, border, open_link
 from alight.flight.autopilot.clock import VehicleClock
+from alight.flight.autopilot.dialect import mavlink
 from alight.records import ImuSample, InputError, NavSample
 from alight_sim.followed import FollowedCameras, ReportedPlace
 from alight_sim.oracle import Touchdown
 from alight_sim.rehearsal import CameraFolder
 
 RATES = {"LOCAL_POSITION_NED": 50.0, "ATTITUDE_QUATERNION": 50.0}  # Hz
-SECOND_COMPANION = 192  # MAV_COMP_ID_ONBOARD_COMPUTER2: the first is `alight fly`
 STEP = 0.02  # s
 NO_VEHICLE = 120.0  # s without a vehicle, after which this is an error; a SITL first waits for another link
 
@@ -57,7 +57,8 @@ class VehicleFollower:
 
     def __init__(self, cameras: FollowedCameras, folder: CameraFolder) -> None:
         self._cameras, self._folder = cameras, folder
-        self.autopilot = Autopilot(RATES, _TrackReader(cameras), component=SECOND_COMPANION)
+        second = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER2  # the first is `alight fly`
+        self.autopilot = Autopilot(RATES, _TrackReader(cameras), component=second)
         self.exposures = 0
         self._flown = False
 

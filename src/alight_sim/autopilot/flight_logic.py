@@ -12,7 +12,7 @@ from alight_sim.autopilot.dialects import Dialect, Doing
 from alight_sim.point_mass import Wanted
 
 _SINK, _RUSH, _SLOW_BELOW = 0.5, 1.5, 10.0  # landing: sink rate, m/s; sink rate above _SLOW_BELOW, m/s; metres
-_TARGET_AGE, _VELOCITY_AGE, _SETPOINT_AGE = 1.0, 3.0, 1.0  # s, for which each input stays valid
+_INPUT_AGE, _VELOCITY_AGE = 1.0, 3.0  # s, for which an input stays valid; a set-point that is only a velocity
 _STREAM = 0.5  # s of set-points that are needed before guided flight
 
 
@@ -58,7 +58,7 @@ class FlightLogic:
 
     def enter(self, doing: Doing, t: float) -> bool:
         """Change the mode at time `t` (s); return false if the change is refused."""
-        stale = t - self._set_at > _SETPOINT_AGE / 2 or t - self._set_since < _STREAM
+        stale = t - self._set_at > _INPUT_AGE / 2 or t - self._set_since < _STREAM
         if doing is Doing.GUIDED and self.dialect.needs_setpoints and stale:
             return False
         if doing is not self.doing:
@@ -185,7 +185,7 @@ class FlightLogic:
         return Wanted(self._anchor)
 
     def _guided(self, t: float) -> Wanted:
-        if self.dialect.needs_setpoints and t - self._set_at > _SETPOINT_AGE:
+        if self.dialect.needs_setpoints and t - self._set_at > _INPUT_AGE:
             self.texts.append("Offboard set-points lost")
             self._settle(Doing.HOLD)
         elif self._wanted.position is None and t - self._set_at > _VELOCITY_AGE:
@@ -194,7 +194,7 @@ class FlightLogic:
 
     def _landing(self, place: F64, t: float) -> Wanted:
         """Return the set-point of a landing at `place` (3,), or at a reported target: fly over it, then descend."""
-        seen = self._target is not None and t - self._target[0] < _TARGET_AGE
+        seen = self._target is not None and t - self._target[0] < _INPUT_AGE
         seen &= t - self._target_since >= self.dialect.target_delay
         self._target_seen |= seen
         self._landing_since = t if self._landing_since is None else self._landing_since

@@ -17,7 +17,23 @@ from alight.geometry import quaternion_from_matrix
 if TYPE_CHECKING:
     from alight_sim.autopilot.simulated import SimulatedAutopilot
 
-_GOOD_ESTIMATE, _NO_POSITION = 831, 165  # estimator flags; without GPS it assumes that it is at rest
+# flags of the estimator: all good; without GPS it assumes that it is at rest
+_NO_POSITION = (
+    mavlink.ESTIMATOR_ATTITUDE
+    | mavlink.ESTIMATOR_VELOCITY_VERT
+    | mavlink.ESTIMATOR_POS_VERT_ABS
+    | mavlink.ESTIMATOR_CONST_POS_MODE
+)
+_GOOD_ESTIMATE = (
+    mavlink.ESTIMATOR_ATTITUDE
+    | mavlink.ESTIMATOR_VELOCITY_HORIZ
+    | mavlink.ESTIMATOR_VELOCITY_VERT
+    | mavlink.ESTIMATOR_POS_HORIZ_REL
+    | mavlink.ESTIMATOR_POS_HORIZ_ABS
+    | mavlink.ESTIMATOR_POS_VERT_ABS
+    | mavlink.ESTIMATOR_PRED_POS_HORIZ_REL
+    | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
+)
 _SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # NED from ENU
 _FLIP = np.diag([1.0, -1.0, -1.0])  # FLU from FRD
 _PRE_ARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
@@ -158,7 +174,7 @@ def _home_position(now: SimulatedAutopilot) -> Any:
 
 
 def _flags(now: SimulatedAutopilot) -> int:
-    return _GOOD_ESTIMATE if now.ready else _NO_POSITION
+    return int(_GOOD_ESTIMATE if now.ready else _NO_POSITION)
 
 
 def _estimator_status(now: SimulatedAutopilot) -> Any:

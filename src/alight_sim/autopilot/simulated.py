@@ -11,6 +11,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from alight.arrays import F64
+from alight.geometry import LocalFrame
 from alight.records import Event
 from alight_sim.autopilot.dialects import DIALECTS, Dialect, Doing
 from alight_sim.autopilot.estimate import Estimate, EstimateError
@@ -19,7 +20,16 @@ from alight_sim.autopilot.reports import Reports
 from alight_sim.point_mass import PointMass, Wanted
 
 _START_UP = 3.0  # s from boot until it may be armed
-_IGNORE_POSITION, _IGNORE_VELOCITY = 7, 56  # all bits of X, Y, Z and of VX, VY, VZ
+_IGNORE_POSITION = (
+    mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE
+)
+_IGNORE_VELOCITY = (
+    mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE
+)
 
 
 class TrueVehicle(Protocol):
@@ -44,6 +54,11 @@ class SimulatedHome:
     longitude: float = 13.4
     altitude_msl: float = 500.0
     separation: float = 46.0  # metres, ellipsoidal height minus altitude above sea level
+
+    @classmethod
+    def at(cls, origin: LocalFrame) -> SimulatedHome:
+        """Return the home at the origin of a local frame."""
+        return cls(origin.latitude, origin.longitude, origin.height - cls.separation)
 
     def degrees(self, enu: F64) -> tuple[float, float, float]:
         """Convert (3,) metres from the home to latitude, longitude (degrees) and altitude above sea level (m)."""

@@ -10,14 +10,13 @@ import numpy as np
 
 from alight.arrays import F64
 from alight_sim.kernels.boxes import NUMBERS
-from alight_sim.movers import Height, car_boxes
+from alight_sim.materials import palette
+from alight_sim.movers import NODE, Height, car_boxes
 
 CAR = (4.4, 1.8, 1.5)  # metres: length, width, height
 PERSON = (0.30, 0.50, 1.75)  # metres: depth, width, height
 HEAD = 0.24  # metres, sides of the head's box
-PAINT, CLOTHES, SKIN = (0.40, 0.04, 0.03), (0.08, 0.10, 0.30), (0.45, 0.28, 0.20)
 _BRAKING = 2.0  # m/s^2
-_NODE = 0.5  # metres along the path between the ground heights under it
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +54,7 @@ class Body:
 
     @cached_property
     def _ride(self) -> tuple[F64, F64]:
-        nodes = np.linspace(0.0, 1.0, max(2, round(self.away / _NODE) + 1))
+        nodes = np.linspace(0.0, 1.0, max(2, round(self.away / NODE) + 1))
         way = np.array(self.start) + nodes[:, None] * np.subtract(self.goal, self.start)
         return nodes, np.array([self.height_at(float(e), float(n)) for e, n in way])
 
@@ -64,7 +63,7 @@ class Body:
         places = self.place_at(times)[:, None]
         heading = self.heading if self.away == 0 else math.atan2(*np.subtract(self.goal, self.start)[::-1])
         turns = np.full((len(times), 1), heading)
-        out = car_boxes(places, turns, CAR, np.array([PAINT])) if self.car else _person(places, turns)
+        out = car_boxes(places, turns, CAR, palette("parking_car")) if self.car else _person(places, turns)
         out[np.asarray(times) < self.since, :, 5:8] = 0.0
         return out
 
@@ -77,5 +76,5 @@ def _person(places: F64, heading: F64) -> F64:
     out[:, 1, 2] += height - HEAD
     out[:, 0, 5:8] = 0.5 * depth, 0.5 * width, height - HEAD
     out[:, 1, 5:8] = 0.5 * HEAD, 0.5 * HEAD, HEAD
-    out[:, 0, 8:11], out[:, 1, 8:11] = CLOTHES, SKIN
+    out[:, 0, 8:11], out[:, 1, 8:11] = palette("person")
     return out

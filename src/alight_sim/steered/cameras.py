@@ -12,7 +12,7 @@ from alight.arrays import F32, F64, U8
 from alight.records import Frame, InputError, Rig
 from alight_sim.exposure import ControlStep, Sensor, controlled, gains
 from alight_sim.faults import Exposures, Faults, exposures
-from alight_sim.flight import FAULTS, FLAWS, GAIN, IMAGE, START_NS
+from alight_sim.flight import START_NS, Stream
 from alight_sim.movers import Moving
 from alight_sim.world import Poses, World
 
@@ -50,7 +50,7 @@ class SteeredCameras:
     def __post_init__(self) -> None:
         cams = self.true_rig.cameras
         self.imaging = self.world.imaging
-        self._glass = [Sensor.of(c.camera, self.imaging, self.seeds(FLAWS, k)) for k, c in enumerate(cams)]
+        self._glass = [Sensor.of(c.camera, self.imaging, self.seeds(Stream.FLAWS, k)) for k, c in enumerate(cams)]
         self._last: list[U8 | None] = [None] * len(cams)
         self._controlled: list[tuple[ControlStep, float] | None] = [None] * len(cams)
         self._plan: Exposures | None = None
@@ -84,7 +84,7 @@ class SteeredCameras:
             return self._last[cam]
         light = self._light(cam, seconds, body)
         kept_out = max([f.amount for f in now if f.what == "cover"], default=self.faults.cover(seconds, cam))
-        key = int(self.seeds(IMAGE, k, cam).generate_state(1, np.uint64)[0])
+        key = int(self.seeds(Stream.IMAGE, k, cam).generate_state(1, np.uint64)[0])
         self._last[cam] = self._glass[cam].expose(light, self._gain(k, cam, seconds, light), key, kept_out)
         return self._last[cam]
 
@@ -126,7 +126,7 @@ class SteeredCameras:
             count = 256 if self._plan is None else 2 * len(self._plan.true_ns)
             beat_ns = START_NS + np.round(np.arange(count) * 1e9 / self.rate_hz).astype(np.int64)
             cams = range(len(self.true_rig.cameras))
-            self._plan = exposures(self.faults, beat_ns, len(cams), self.seeds(FAULTS))
+            self._plan = exposures(self.faults, beat_ns, len(cams), self.seeds(Stream.FAULTS))
             seconds: F64 = 1e-9 * np.asarray(self._plan.true_ns - START_NS, np.float64)
-            self._gains = [gains(self.imaging, seconds, self.seeds(GAIN, cam)) for cam in cams]
+            self._gains = [gains(self.imaging, seconds, self.seeds(Stream.GAIN, cam)) for cam in cams]
         return self._plan

@@ -17,7 +17,7 @@ from alight.settings import ImuNoise
 from alight_sim.autopilot.estimate import NavigationError
 from alight_sim.course import LEAD, ground_at
 from alight_sim.faults import Faults
-from alight_sim.flight import IMU_BIAS, IMU_NOISE, NAV, START_NS, WIND, flight_notes
+from alight_sim.flight import START_NS, Stream, flight_notes
 from alight_sim.point_mass import FlightLimits, PointMass, Wanted
 from alight_sim.scene import Scene
 from alight_sim.scene_world import build
@@ -118,9 +118,9 @@ class SteeredFlight:
         self.rig = faults.claimed(self.true_rig)
         self.cameras = SteeredCameras(self.world, self.true_rig, faults, rate_hz, self._seeds, self.bodies)
         self._imu_errors = imu or self.world.sensors.imu.model_copy(update={"rate_hz": IMU_RATE_HZ})
-        imu_stream = ImuStream(self._imu_errors, self._seeds(IMU_NOISE))
-        biases = BiasWalk(self._imu_errors, self._seeds(IMU_BIAS))
-        nav_stream = NavStream(nav or self.world.sensors.nav, self._seeds(NAV))
+        imu_stream = ImuStream(self._imu_errors, self._seeds(Stream.IMU_NOISE))
+        biases = BiasWalk(self._imu_errors, self._seeds(Stream.IMU_BIAS))
+        nav_stream = NavStream(nav or self.world.sensors.nav, self._seeds(Stream.NAV))
         self.sensors = SteeredSensors(imu_stream, biases, nav_stream, self.cameras)
         self._cost = battery or TrueBattery()
         self.battery = self._cost.share
@@ -130,7 +130,7 @@ class SteeredFlight:
         place = np.array([east, north, ground_at(self.world, np.array(start, float)) + up + standing])
         self._vehicle = PointMass(
             limits or NIMBLE, lambda east, north: below.height(east, north) + standing, self.air.velocity, gusts,
-            seed=int(self._seeds(WIND).generate_state(1)[0]), position=place, heading=heading,
+            seed=int(self._seeds(Stream.WIND).generate_state(1)[0]), position=place, heading=heading,
         )  # fmt: skip
         self._contacts = ContactWatch(below, standing, self._vehicle)
         self._steps, self._elapsed_ns = 0, 0

@@ -13,6 +13,7 @@ from alight.records import Terrain
 from alight_sim.kernels import stamps
 from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, LEVEL, LOOK, NORTH, REACH, RED, TOP, TURN
 from alight_sim.looks import Look
+from alight_sim.materials import palette
 from alight_sim.section import Side
 from alight_sim.things.base import (
     Between,
@@ -34,12 +35,6 @@ if TYPE_CHECKING:
     from alight_sim.tiles import Lay
 
 Generator = np.random.Generator
-PAINTS: tuple[Tint, ...] = (
-    (0.9, 0.9, 0.87), (0.45, 0.46, 0.48), (0.13, 0.13, 0.14), (0.04, 0.04, 0.045), (0.5, 0.04, 0.03),
-    (0.04, 0.09, 0.35), (0.16, 0.24, 0.16), (0.6, 0.5, 0.25),
-)  # fmt: skip
-ROOFS: tuple[Tint, ...] = ((1.0, 1.0, 1.0), (0.8, 0.75, 0.75), (1.15, 1.1, 1.0), (0.65, 0.7, 0.75))
-LITTER: tuple[Tint, ...] = ((0.8, 0.6, 0.35), (1.0, 1.0, 1.0), (0.08, 0.2, 0.55), (0.4, 0.3, 0.15), (0.15, 0.15, 0.15))
 
 
 def stamp(sheet: Sheet, things: F64, kind: int, label: Terrain = Terrain.STRUCTURE) -> None:
@@ -72,10 +67,10 @@ class Boxes(Scattered):
         turns = rng.uniform(0.0, 2.0 * math.pi, count)
         return turns if self.turn_deg is None else np.full(count, math.radians(self.turn_deg))
 
-    def paint(self, rng: Generator, things: F64, look: Look, otherwise: tuple[Tint, ...]) -> None:
-        """Set the look of things (N, COLUMNS), and draw each tint from the user's tints, or else from `otherwise`."""
-        palette = np.array(self.tints or otherwise)
-        things[:, RED : BLUE + 1] = palette[rng.integers(len(palette), size=len(things))]
+    def paint(self, rng: Generator, things: F64, look: Look, usual: str) -> None:
+        """Set the look of things (N, COLUMNS), and draw each tint from the user's, or else from the palette `usual`."""
+        tints = np.array(self.tints) if self.tints else palette(usual)
+        things[:, RED : BLUE + 1] = tints[rng.integers(len(tints), size=len(things))]
         things[:, LOOK] = look
 
     def boxes(self, sheet: Sheet, lay: Lay, kind: int) -> None:
@@ -110,7 +105,7 @@ class Houses(Boxes):
         things[:, TOP], things[:, TURN] = rng.uniform(*self.walls, n), self.turns(rng, n)
         things[:, EXTRA] = 0.4 if self.roof == "flat" else math.tan(math.radians(self.pitch_deg))
         things[:, REACH] = np.hypot(things[:, HALF_U], things[:, HALF_V])
-        self.paint(rng, things, Look.FLAT_ROOF if self.roof == "flat" else self.look, ROOFS)
+        self.paint(rng, things, Look.FLAT_ROOF if self.roof == "flat" else self.look, "roofs")
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         self.boxes(sheet, lay, {"gable": stamps.GABLE, "hip": stamps.HIP, "flat": stamps.FLAT}[self.roof])
@@ -140,7 +135,7 @@ class Cars(Boxes):
         things[:, HALF_U], things[:, HALF_V] = 0.5 * rng.uniform(*self.length, n), 0.5 * rng.uniform(*self.width, n)
         things[:, TOP], things[:, TURN] = rng.uniform(*self.height, n), self.turns(rng, n)
         things[:, REACH] = np.hypot(things[:, HALF_U], things[:, HALF_V])
-        self.paint(rng, things, Look.PAINT, PAINTS)
+        self.paint(rng, things, Look.PAINT, "cars")
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         self.boxes(sheet, lay, stamps.CAR)
@@ -173,7 +168,7 @@ class Crates(Boxes):
         things[:, HALF_V] = 0.5 * rng.uniform(*(self.width or self.size), n)
         things[:, TOP], things[:, TURN] = rng.uniform(*self.height, n), self.turns(rng, n)
         things[:, REACH] = np.hypot(things[:, HALF_U], things[:, HALF_V])
-        self.paint(rng, things, Look.PAINT, LITTER)
+        self.paint(rng, things, Look.PAINT, "litter")
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         self.boxes(sheet, lay, stamps.FLAT)

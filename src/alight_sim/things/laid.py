@@ -14,15 +14,13 @@ from alight_sim.kernels import stamps
 from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, LEVEL, NORTH, REACH, RED, TOP, TURN
 from alight_sim.looks import Look
 from alight_sim.relief import noise
-from alight_sim.things.base import Between, CoverName, Sheet, Tint, along_and_across
+from alight_sim.things.base import Between, CoverName, Sheet, along_and_across
 from alight_sim.things.built import Boxes, stamp
 
 if TYPE_CHECKING:
     from alight_sim.tiles import Lay
 
 Generator = np.random.Generator
-STEEL: tuple[Tint, ...] = ((0.16, 0.09, 0.06), (0.22, 0.12, 0.07), (0.2, 0.2, 0.2))
-PLASTIC: tuple[Tint, ...] = ((0.75, 0.77, 0.78), (0.06, 0.2, 0.5), (0.05, 0.05, 0.055), (0.1, 0.25, 0.1))
 OPEN: tuple[CoverName, ...] = ("bare", "short_grass", "paved")
 THINNEST = 0.71  # cells, half the thickness of a bar: thinner ones would fall between the cells
 DRAPED = 0.8  # metres above the ground up to which a sheet lies over things
@@ -59,7 +57,7 @@ class Bars(Boxes):
         things[:, HALF_V], things[:, TOP] = 0.5 * thick, length if self.upright else thick
         things[:, EXTRA], things[:, TURN] = np.rint(rng.uniform(*self.count, n)), self.turns(rng, n)
         things[:, REACH] = np.hypot(things[:, HALF_U], 0.5 * things[:, EXTRA] * (self.gap or thick))
-        self.paint(rng, things, Look.PAINT, STEEL)
+        self.paint(rng, things, Look.PAINT, "steel")
 
     def parts(self, rng: Generator, things: F64) -> F64:
         """Return the bars (M, COLUMNS) of all bundles."""
@@ -116,7 +114,7 @@ class Tarpaulins(Boxes):
         things[:, HALF_V] = 0.5 * rng.uniform(*(self.width or self.size), n)
         things[:, TURN] = self.turns(rng, n)
         things[:, REACH] = 1.05 * np.hypot(things[:, HALF_U], things[:, HALF_V])
-        self.paint(rng, things, Look.PAINT, PLASTIC)
+        self.paint(rng, things, Look.PAINT, "plastic")
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         """Lay the tarpaulins over the ground and low things, with random creases and wandering edges."""

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from alight_sim.tiles import Lay
 
 LONGEST = 200_000.0  # metres of a path
-PIECE = 2.0  # metres between the points at which a road follows the ground's height
+PIECE = 2.0  # metres between the points at which a road or a canal follows the ground's height
 SMOOTH = 5  # pieces on either side over which a road smooths the ground
 WHITE = 3.2  # brightness of paint over asphalt
 LANE = 1.22  # metres, width of a runner's lane

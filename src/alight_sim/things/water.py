@@ -15,12 +15,11 @@ from alight_sim.looks import Look
 from alight_sim.relief import noise
 from alight_sim.things.base import UNTINTED, CoverName, LookName, Sheet, Tint, ramp, terrain_named
 from alight_sim.things.cover import Outline
-from alight_sim.things.lines import Lined, pieces, winding
+from alight_sim.things.lines import PIECE, Lined, pieces, winding
 
 if TYPE_CHECKING:
     from alight_sim.tiles import Lay
 
-PIECE = 2.0  # metres between the points at which a canal follows the ground's height
 LOWEST, EVEN = 11, 31  # pieces: windows of the lowest ground along the water, and of the smoothing of its height
 EDGE = 0.04  # metres of the bank's foot above the water
 FREEBOARD = 0.8  # share of `below` to which low ground beside the water is raised
