@@ -6,6 +6,8 @@ import json
 import math
 import os
 import re
+import sys
+import unicodedata
 from collections import Counter
 from collections.abc import Hashable, Mapping
 from pathlib import Path
@@ -19,7 +21,6 @@ LARGEST_JSON = 64_000_000  # bytes
 DEEPEST = 40  # levels of nested mappings and lists
 DEEP = f"nested more than {DEEPEST} deep; write it flat"
 MOST_VALUES = 50_000  # values in a YAML document; an alias counts each time it is used
-LARGEST_INTEGER = 2**63
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -169,17 +170,16 @@ def _check(tree: Any, most: float) -> None:
             raise DocumentError(f"more than {most} values, aliases written out; write it shorter")
         if isinstance(value, Mapping | list):
             waiting += [(v, depth + 1) for v in (value.values() if isinstance(value, Mapping) else value)]
-        elif isinstance(value, int) and abs(value) > LARGEST_INTEGER:
+        elif isinstance(value, int) and abs(value) > sys.maxsize:
             raise DocumentError("an integer of more than 19 digits; check the number")
         elif not isinstance(value, str | int | float | None):
             raise DocumentError(f"a {type(value).__name__} is neither a word nor a number; put it into quotes")
 
 
-# characters that control a terminal, are invalid in HTML, or reverse the writing direction
-_UNPRINTABLE = [*range(0x09), *range(0x0B, 0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A)]
-_ESCAPES = {code: f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}" for code in _UNPRINTABLE}
-
-
 def printable(text: str) -> str:
-    """Return text from outside with its control characters escaped; line breaks and tabs stay."""
-    return text.translate(_ESCAPES)
+    """Return text from outside with the characters escaped that control a terminal or the writing direction.
+
+    Line breaks, tabs and spaces of any width stay.
+    """
+    escaped = {c for c in text if not c.isprintable() and c not in "\n\t" and unicodedata.category(c) != "Zs"}
+    return text.translate({ord(c): c.encode("unicode_escape").decode() for c in escaped})

@@ -7,9 +7,10 @@ import pytest
 from ground import ground
 
 from alight.hazards import assess
-from alight.hazards.wires import BEYOND, SLACK
+from alight.hazards.wires import SLACK
 from alight.landing.sites import choose_sites
 from alight.records import Hazard, Wire
+from alight.records.wires import BEYOND
 from alight.settings import HazardsSettings, Lander, SitesSettings
 
 MAP, LANDER = ground(np.zeros((200, 200)), sigma=0.01), Lander()

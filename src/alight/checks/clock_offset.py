@@ -18,7 +18,7 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.checks.evidence import CameraEvidence, ImuTable, NavTable
 from alight.checks.features import grid_of, moved
-from alight.checks.predicted_flow import OFFSET, BodyMotion, PredictedFlow, body_motion, upward
+from alight.checks.predicted_flow import AT, BodyMotion, PredictedFlow, body_motion, upward
 from alight.geometry import Pose
 from alight.records import Event, Frame, ImuSample, NavSample, Rig
 
@@ -239,7 +239,7 @@ def find_offset(camera: CameraEvidence, body_from_cam: Pose, nav: NavTable, imu:
         return replace(found, seconds=1e-9 * shift)
     near = [replace(f, begin_ns=f.begin_ns - shift, end_ns=f.end_ns - shift) for f in flows]
     fit = PredictedFlow(replace(camera, flows=near), body_from_cam, motion).fit(0.0)  # exact, but blind to the speed
-    left, sigma = float(fit.parameters[OFFSET]), float(fit.sigma[OFFSET])
+    left, sigma = float(fit.parameters[AT.offset]), float(fit.sigma[AT.offset])
     if sigma > STEP / 2 or abs(left) > STEP:
         left, sigma = 0.0, found.sigma
     return ClockOffset(1e-9 * shift + left, sigma)

@@ -8,13 +8,12 @@ import numpy as np
 
 from alight.checks.evidence import RigEvidence
 from alight.checks.navigation import attitude_readings, quarter_turns
-from alight.checks.predicted_flow import FOCAL, MOUNTING, OFFSET, BodyMotion, FlowFit, PredictedFlow, body_motion
+from alight.checks.predicted_flow import AT, BodyMotion, FlowFit, PredictedFlow, body_motion
 from alight.checks.result import Check, CheckResult, Judged, bad, good, unknown
 from alight.checks.stereo import turn_words
 from alight.geometry import Pose
 
-FINE = np.arange(-0.5, 0.501, 0.05)  # s, trial time offsets
-COARSE = FINE[::2]
+OFFSETS = np.arange(-0.5, 0.501, 0.05)  # s, trial time offsets
 UNEXPLAINED = 0.35  # share of the flow; if more is unexplained, there is no verdict
 TILTED = np.radians(5.0)  # tolerance of a mounting: the attitude of GPS/INS is no better
 CHECKS = ("mounting", "time offset", "focal length")
@@ -46,7 +45,7 @@ def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult]
     mounting = _mounting(usable, motion, evidence)
     if mounting.verdict is Judged.BAD:
         return cannot_tell("first mend the mounting", mounting)
-    fits = {name: flow.fit(flow.scan(FINE)[1]) for name, flow in usable.items()}
+    fits = {name: flow.fit(flow.scan(OFFSETS)[1]) for name, flow in usable.items()}
     left = max(f.unexplained for f in fits.values())
     if left > UNEXPLAINED:
         why = f"{100 * left:.0f} % of the flow is left: the pictures do not show level ground that stands still"
@@ -66,14 +65,14 @@ def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: Ri
     poses = {c.name: c.body_from_cam for c in evidence.rig.cameras}
     for name, flow in usable.items():
         down, size = flow.looks_down() or 0.0, float(np.median(flow.flow))
-        own = flow.scan(FINE)[0]
+        own = flow.scan(OFFSETS)[0]
         words.append(f"{name} looks {np.degrees(np.arccos(np.clip(down, -1, 1))):.0f} degrees off straight down, "
                      f"{100 * own / size:.0f} % of its flow of {size:.1f} px is left")  # fmt: skip
         others = []
         for turn in quarter_turns()[1:] if own > 0.25 * size else []:
             other = flow.turned(Pose(poses[name].rotation @ turn, poses[name].translation))
             if (other.looks_down() or 0.0) > 0.17:  # a camera nearer to the horizon sees little ground
-                others.append((other.scan(COARSE)[0], turn))
+                others.append((other.scan(OFFSETS)[0], turn))
         others.sort(key=lambda pair: pair[0])
         if others and others[0][0] < 0.5 * own and others[0][0] < 0.4 * size:
             near = [t for c, t in others if c < 1.3 * others[0][0]]
@@ -102,7 +101,7 @@ def _other_attitude(usable: dict[str, PredictedFlow], evidence: RigEvidence) -> 
         if motion is None:
             continue
         flows = {n: PredictedFlow(*cameras[n], motion) for n in usable}
-        if all(f.pairs and f.scan(COARSE)[0] < 0.2 * float(np.median(f.flow)) for f in flows.values()):
+        if all(f.pairs and f.scan(OFFSETS)[0] < 0.2 * float(np.median(f.flow)) for f in flows.values()):
             return what, mend
     return None
 
@@ -116,7 +115,7 @@ def _tilt(mounting: CheckResult, fits: dict[str, FlowFit]) -> CheckResult:
         return mounting
     found, vague = Check(mounting.name, [mounting.evidence]), False
     for name, fit in fits.items():
-        turn, sigma = fit.parameters[MOUNTING], fit.sigma[MOUNTING]
+        turn, sigma = fit.parameters[AT.mounting], fit.sigma[AT.mounting]
         pitch, yaw, roll = np.degrees(turn)
         found.measured.append(
             f"{name} fits turned by pitch {pitch:+.1f}, yaw {yaw:+.1f}, roll {roll:+.1f} degrees about its x, y, z "
@@ -133,7 +132,7 @@ def _tilt(mounting: CheckResult, fits: dict[str, FlowFit]) -> CheckResult:
 def _offset(fits: list[FlowFit], turned_by: str, ahead: float) -> CheckResult:
     """Check the mean time offset of the cameras from the sensor `turned_by`; `ahead`: offset (s) applied already."""
     name = CHECKS[1]
-    offsets, sigmas = np.array([f.parameters[OFFSET] for f in fits]), np.array([f.sigma[OFFSET] for f in fits])
+    offsets, sigmas = np.array([f.parameters[AT.offset] for f in fits]), np.array([f.sigma[AT.offset] for f in fits])
     w = 1.0 / sigmas**2
     offset, sigma = float((w * offsets).sum() / w.sum()), float(max(sigmas.min(), np.ptp(offsets) / 2))
     evidence = (
@@ -153,7 +152,7 @@ def _offset(fits: list[FlowFit], turned_by: str, ahead: float) -> CheckResult:
 
 def _focal(fits: dict[str, FlowFit]) -> CheckResult:
     name = CHECKS[2]
-    parts = [(camera, f.parameters[FOCAL], f.sigma[FOCAL], f.focal) for camera, f in fits.items()]
+    parts = [(camera, f.parameters[AT.focal], f.sigma[AT.focal], f.focal) for camera, f in fits.items()]
     evidence = "; ".join(
         f"{n} {f:.1f} px, the flow gives {100 * s:+.1f} +- {100 * e:.1f} % (1-sigma)" for n, s, e, f in parts
     )

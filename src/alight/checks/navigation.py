@@ -11,12 +11,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from alight.arrays import F64, I64
 from alight.checks.evidence import ImuTable, NavTable, RigEvidence, integrated, seconds_since, trimmed_rms
 from alight.checks.result import CheckResult, Judged, bad, good, unknown
+from alight.geometry.rotations import ENU_FROM_NED, FRD_FROM_FLU
 
 WINDOW = 0.4  # s over which turns are compared
 AGREES = 0.4  # largest unexplained share of the turns for two streams that agree
 UPRIGHT = 0.3  # cosine of the largest median tilt of a flying aircraft
-FRD = np.diag([1.0, -1.0, -1.0])
-NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 AXES, ATTITUDE, CLOCK = "IMU axes", "attitude convention", "clock of GPS/INS against IMU"  # names of checks
 
 
@@ -153,9 +152,9 @@ def attitude_readings(world_from_body: F64) -> dict[str, tuple[F64, str]]:
     return {
         "a quaternion in the order x y z w": (reordered, "write q_w first: q_w, q_x, q_y, q_z"),
         "the inverse rotation (body from world)": (np.swapaxes(R, 1, 2), "write the conjugate quaternion"),
-        "NED from FRD": (NED @ R @ FRD, convert),
-        "ENU from FRD": (R @ FRD, convert),
-        "NED from FLU": (NED @ R, convert),
+        "NED from FRD": (ENU_FROM_NED @ R @ FRD_FROM_FLU, convert),
+        "ENU from FRD": (R @ FRD_FROM_FLU, convert),
+        "NED from FLU": (ENU_FROM_NED @ R, convert),
     }
 
 
@@ -232,14 +231,14 @@ def check_attitude(streams: NavAndImu) -> list[CheckResult]:
     }  # fmt: skip
     mountings = streams.fitting(R, quarter_turns()[1:]) if upright > UPRIGHT else []
     if mountings and (turned or not readings):
-        usual = [] if turned else [m for m in mountings if np.allclose(m, FRD)]  # prefer forward right down
+        usual = [] if turned else [m for m in mountings if np.allclose(m, FRD_FROM_FLU)]  # prefer forward right down
         return _axes_wrong(
             f"{evidence}; the axes of imu0 fit as {named_axes([*usual, *mountings][0])}",
             "write the axes into T_BS of imu0/sensor.yaml, or the samples in x forward, y left, z up",
         )
     if readings:
         what = " or ".join(readings)
-        if turned and streams.unexplained(R, [FRD])[0] < AGREES:
+        if turned and streams.unexplained(R, [FRD_FROM_FLU])[0] < AGREES:
             what += ", or the gyroscope alone is forward right down"
         return _attitude_wrong(f"{evidence}; it fits as {what}", next(iter(readings.values())))
     mend = (
@@ -268,10 +267,10 @@ def check_velocity(nav: NavTable) -> CheckResult:
     if travel < 6.0:
         return unknown(name, f"the aircraft hardly moved ({travel:.1f} m)")
     v, R = nav.velocity_world, nav.world_from_body
-    readings = {"east north up": v, "north east down": v @ NED.T}
+    readings = {"east north up": v, "north east down": v @ ENU_FROM_NED.T}
     if np.isfinite(R).all():
         readings["forward left up of the body"] = np.einsum("kij,kj->ki", R, v)
-        readings["forward right down of the body"] = np.einsum("kij,kj->ki", R, v @ FRD.T)
+        readings["forward right down of the body"] = np.einsum("kij,kj->ki", R, v @ FRD_FROM_FLU.T)
     found = {what: _explained(s, u, begins, ends, steps) for what, u in readings.items()}
     share, scale = found["east north up"]
     evidence = f"leaves {100 * share:.0f} % of the way between positions 1 s apart, {travel:.0f} m in all"

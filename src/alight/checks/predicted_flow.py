@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -25,8 +26,19 @@ from alight.spread import robust_sigma
 
 STEEP = 0.3  # limit of n . z: a camera whose axis is nearer to the horizon sees no level ground
 FREE_BIAS = 0.03  # rad/s, 1-sigma of the bias if there is no attitude to estimate it
-# parameters of a fit: time offset s, mounting rad, log of the focal length, bias rad/s, slope of the ground
-OFFSET, MOUNTING, FOCAL, BIAS, GROUND = 0, slice(1, 4), 4, slice(5, 8), slice(8, 10)
+
+
+class FlowLayout(NamedTuple):
+    """Places of the parameters of a fit, (10,)."""
+
+    offset: int = 0  # s, of the stamps
+    mounting: slice = slice(1, 4)  # rad
+    focal: int = 4  # log of the factor on the focal length
+    bias: slice = slice(5, 8)  # rad/s
+    ground: slice = slice(8, 10)  # slope of the ground
+
+
+AT = FlowLayout()
 _PRIORS = np.array([0.3, 0.5, 0.5, 0.5, 0.3, FREE_BIAS, FREE_BIAS, FREE_BIAS, 0.12, 0.12])  # 1-sigma
 _STEPS = np.array([2e-3, *[1e-3] * 9])
 
@@ -93,7 +105,7 @@ def _bias(turning: Slerp, attitude: Slerp, s: F64, t: F64) -> tuple[F64, float]:
 class FlowFit:
     """Mounting, clock and lens of one camera, estimated from its flow."""
 
-    parameters: F64  # (10,) see `OFFSET`
+    parameters: F64  # (10,) see `FlowLayout`
     sigma: F64  # (10,)
     unexplained: float  # share of the flow that is left with these parameters
     depth_seconds: F64  # (K,) s from `origin_ns`, middle of each pair of exposures
@@ -105,7 +117,7 @@ class FlowFit:
     @property
     def depth_error(self) -> float:
         """Relative 1-sigma (0.01 is 1 %) of the scale of all inverse depths, caused by the focal length's error."""
-        return float(self.sigma[FOCAL])
+        return float(self.sigma[AT.focal])
 
 
 class PredictedFlow:
@@ -128,7 +140,7 @@ class PredictedFlow:
         self._begin, self._end, self._seen = self._begin[keep], self._end[keep], self._seen[keep]
         self.pairs = len(self._begin)
         self._centre, self._priors = np.zeros(10), _PRIORS.copy()
-        self._centre[BIAS], self._priors[BIAS] = motion.bias, motion.bias_sigma
+        self._centre[AT.bias], self._priors[AT.bias] = motion.bias, motion.bias_sigma
         self.flow = self.focal * np.linalg.norm(self._seen - self._spots, axis=-1).mean(axis=-1)  # (K,) px
 
     def turned(self, mounting: Pose) -> PredictedFlow:
@@ -145,20 +157,20 @@ class PredictedFlow:
         return float(np.median(down @ self._mounting.rotation[:, 2]))
 
     def residuals(self, parameters: F64) -> tuple[F64, F64]:
-        """Return the (K, 18) px of unexplained flow, and (K,) inverse depths, for parameters (10,) (see `OFFSET`)."""
+        """Return the (K, 18) px of unexplained flow and (K,) inverse depths, for parameters (10,) (`FlowLayout`)."""
         m = self._motion
-        offset, focal = parameters[OFFSET], np.exp(parameters[FOCAL])
-        body_from_cam = self._mounting.rotation @ Rotation.from_rotvec(parameters[MOUNTING]).as_matrix()
+        offset, focal = parameters[AT.offset], np.exp(parameters[AT.focal])
+        body_from_cam = self._mounting.rotation @ Rotation.from_rotvec(parameters[AT.mounting]).as_matrix()
         t0, t1 = m.inside(self._begin - offset), m.inside(self._end - offset)
         span = np.maximum(t1 - t0, 1e-3)[:, None]
-        turn = m.turning(t0).inv() * m.turning(t1) * Rotation.from_rotvec(-parameters[BIAS] * span)
+        turn = m.turning(t0).inv() * m.turning(t1) * Rotation.from_rotvec(-parameters[AT.bias] * span)
         cam_from_later = body_from_cam.T @ turn.as_matrix() @ body_from_cam  # (K, 3, 3)
         x0 = np.concatenate([self._spots / focal, np.ones((len(self._spots), 1))], axis=1)  # (9, 3)
         x1 = np.concatenate([self._seen / focal, np.ones_like(self._seen[..., :1])], axis=-1)
         y = x1 @ np.swapaxes(cam_from_later, 1, 2)
         y = y[..., :2] / np.maximum(y[..., 2:], 1e-3)
         off = y - x0[None, :, :2]  # (K, 9, 2): flow that rotation does not explain
-        arms = self._arms(y, x0, t0, t1, body_from_cam, parameters[GROUND])
+        arms = self._arms(y, x0, t0, t1, body_from_cam, parameters[AT.ground])
         left, depth = _least_squares(off, arms)
         return left.reshape(len(left), -1) * self.focal * focal, depth
 
@@ -196,9 +208,9 @@ class PredictedFlow:
         m = self._motion
         if m.attitude is None:
             return np.full((self.pairs, 3), np.nan)
-        middle = m.inside(0.5 * (self._begin + self._end) - parameters[OFFSET])
+        middle = m.inside(0.5 * (self._begin + self._end) - parameters[AT.offset])
         world_from_cam = m.attitude(middle).as_matrix() @ self._mounting.rotation
-        return np.asarray(np.einsum("kij,i->kj", world_from_cam, upward(parameters[GROUND])))
+        return np.asarray(np.einsum("kij,i->kj", world_from_cam, upward(parameters[AT.ground])))
 
     def cost(self, parameters: F64) -> float:
         """Return the median of the pairs' unexplained flow, px, for parameters (10,)."""
@@ -209,7 +221,7 @@ class PredictedFlow:
         costs = []
         for offset in offsets:
             p = self._centre.copy()
-            p[OFFSET] = offset
+            p[AT.offset] = offset
             costs.append(self.cost(p))
         k = int(np.argmin(costs))
         return costs[k], float(offsets[k])
@@ -217,7 +229,7 @@ class PredictedFlow:
     def fit(self, start: float) -> FlowFit:
         """Refine all parameters together by Gauss-Newton with robust weights, starting from a time offset (s)."""
         p = self._centre.copy()
-        p[OFFSET] = start
+        p[AT.offset] = start
         for _ in range(8):
             r, A, g, _ = self._normal(p)
             step = np.clip(np.linalg.solve(A, g), -0.2, 0.2)
@@ -231,7 +243,7 @@ class PredictedFlow:
         spread = inverse @ (G.T @ G) @ inverse
         sigma = np.sqrt(np.maximum(np.diag(spread), np.diag(inverse)))
         calibrated = self._centre.copy()
-        calibrated[OFFSET], calibrated[GROUND] = p[OFFSET], p[GROUND]
+        calibrated[AT.offset], calibrated[AT.ground] = p[AT.offset], p[AT.ground]
         depth = self.residuals(calibrated)[1]
         unexplained = float(np.median(_length(r))) / max(float(np.median(self.flow)), 1e-6)
         middle = 0.5 * (self._begin + self._end)

@@ -11,8 +11,7 @@ from alight.arrays import I64
 from alight.checks.evidence import RigEvidence
 from alight.checks.result import Check, CheckResult, bad, unknown
 
-MISSING = 0.05  # share of exposures or partners that may be missing
-UNORDERED = 0.05  # share of samples that may be out of order
+FEW = 0.05  # share of exposures, partners or rows that may be missing or out of order
 
 
 class Sampling(NamedTuple):
@@ -54,11 +53,11 @@ def check_frames(evidence: RigEvidence) -> CheckResult:
         f"{c.name} without picture in {100 * a:.1f} %" for c, a in zip(evidence.rig.cameras, alone, strict=True)
     ]
     found.judge(
-        (s.missing > MISSING, "find what drops exposures: cable, bus, disk or processor"),
-        (bool((alone > MISSING).any()), "trigger the cameras together, and find what drops the pictures of one"),
+        (s.missing > FEW, "find what drops exposures: cable, bus, disk or processor"),
+        (bool((alone > FEW).any()), "trigger the cameras together, and find what drops the pictures of one"),
         (apart > 5.0, "trigger the cameras together", f"paired pictures are up to {apart:.1f} ms apart"),
         (
-            s.repeated > 0 or s.backwards / (count - 1) > UNORDERED,
+            s.repeated > 0 or s.backwards / (count - 1) > FEW,
             "give every exposure its own time, in order", s.disorder,
         ),
         (s.rate < 1.0, "record at least 5 exposures a second"),
@@ -102,9 +101,9 @@ def _check_stream(what: str, t_ns: I64, least_rate: float, evidence: RigEvidence
             f"put pictures and {what} on one clock, or record both for as long",
             f"{1e-9 * uncovered:.1f} s of the pictures are without it",
         ),
-        (s.missing > 4 * MISSING, f"find what drops the rows of {what}"),
+        (s.missing > 4 * FEW, f"find what drops the rows of {what}"),
         (
-            max(s.repeated, s.backwards) > UNORDERED * count,
+            max(s.repeated, s.backwards) > FEW * count,
             "give every row its own time of validity, in order", s.disorder,
         ),
         (s.rate < least_rate, f"record {what} with at least {least_rate:g} Hz"),

@@ -13,9 +13,8 @@ from alight.arrays import F32, F64
 from alight.geometry.grid import Grid
 
 _A = 6378137.0  # semi-major axis, metres
-_F = 1 / 298.257223563  # flattening
-_E2 = _F * (2 - _F)
-_MEAN_RADIUS = 6371008.8  # metres
+_E2 = 0.0066943799901413165  # squared eccentricity
+MEAN_RADIUS = 6371008.8  # metres
 # CRS of rasters that are not georeferenced
 LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AXIS["East",EAST],AXIS["North",NORTH]]'
 
@@ -97,7 +96,7 @@ def ellipsoid_fall(grid: Grid) -> F64:
     At the distance d from the origin it lies d^2 / (2 r) lower, with the mean Earth radius r: 7 mm at 300 m.
     """
     east, north = grid.xy()
-    return np.asarray((east[None, :] ** 2 + north[:, None] ** 2) / (2 * _MEAN_RADIUS))
+    return np.asarray((east[None, :] ** 2 + north[:, None] ** 2) / (2 * MEAN_RADIUS))
 
 
 def world_up(height: NDArray[np.floating[Any]], grid: Grid, local: LocalFrame) -> F32:

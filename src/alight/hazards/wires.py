@@ -9,10 +9,10 @@ import numpy as np
 from alight.arrays import F32, Mask
 from alight.geometry import Grid
 from alight.records import Wire, nearest_wire
+from alight.records.wires import BEYOND
 from alight.settings import Lander
 
 SLACK = 0.7  # metres: how far a wire may be from where it was found
-BEYOND = 4.0  # metres by which a wire may go on at either end of what was found of it
 
 
 def under_wires(wires: Sequence[Wire], grid: Grid, lander: Lander) -> Mask:

@@ -16,9 +16,10 @@ from alight.geometry import Grid
 from alight.landing.wind import ground_speed, is_from_behind
 from alight.raster import block_quantile, upsample
 from alight.records import ElevationMap, Route, Site, Waypoint, Wire, is_measured, nearest_wire
+from alight.records.wires import BEYOND
 from alight.settings import RouteSettings
 
-WIRE_BESIDE, WIRE_ABOVE, WIRE_BEYOND = 1.0, 1.0, 4.0  # metres: how far a wire may be from where it was found
+WIRE_ABOUT = 1.0  # metres: how far a wire may be from where it was found
 UNMAPPED = 0.05  # largest unmapped share of the ground beside the path, as in `executive.unmapped`
 
 
@@ -87,8 +88,8 @@ class Obstructions:
         surely = elevation.height.astype(np.float64) + 2 * elevation.sigma.astype(np.float64)
         top = np.where(elevation.trusted, surely, np.where(np.isfinite(height), about, np.nan))
         if wires:
-            distance, up = nearest_wire([w.longer(WIRE_BEYOND) for w in wires], elevation.grid)
-            top = np.where(distance <= WIRE_BESIDE, np.fmax(top, up + WIRE_ABOVE), top)
+            distance, up = nearest_wire([w.longer(BEYOND) for w in wires], elevation.grid)
+            top = np.where(distance <= WIRE_ABOUT, np.fmax(top, up + WIRE_ABOUT), top)
         return cls(top, rise)
 
 

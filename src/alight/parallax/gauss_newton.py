@@ -22,7 +22,6 @@ from alight.settings.tuning.parallax import RefinementTuning
 
 SEEN_BLOCK = 4  # cells
 BLOCK = 8  # half-resolution cells on a side of a block of `Skyline.tops`
-LOWEST = np.float32(-1e4)  # metres, replaces an unknown height
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +97,9 @@ class Skyline:
         """Build the skyline of a height map (R, C) for cameras at `centres` (N, 3); all in metres."""
         wide = grid.coarser(2)
         height = np.ascontiguousarray(height[::2, ::2])
-        solid = cv2.medianBlur(np.where(np.isfinite(height), height, LOWEST), 3)
+        solid = cv2.medianBlur(np.where(np.isfinite(height), height, -np.float32(np.inf)), 3)
         tops = _tops(solid, wide, centres)
-        solid[solid <= LOWEST] = np.nan
+        solid[np.isneginf(solid)] = np.nan
         return cls(wide, solid, tops)
 
     def visible(self, centres: F64, where: Box, metres_per_px: F32, rise_px: float) -> U8:
@@ -125,11 +124,11 @@ class Skyline:
 def _tops(solid: F32, grid: Grid, centres: F64) -> F32:
     """Return, per block of cells of `solid`, the highest height (m) that a ray to a camera at `centres` can meet."""
     tops = np.empty(tuple(-(-n // BLOCK) for n in grid.shape), np.float32)
-    visibility_kernels.block_tops(solid, BLOCK, LOWEST, tops)
+    visibility_kernels.block_tops(solid, BLOCK, -np.inf, tops)
     high = float(tops.max())
-    if high <= LOWEST:
+    if high == -np.inf:
         return tops
-    low = float(solid.min(where=solid > LOWEST, initial=high))
+    low = float(solid.min(where=solid > -np.inf, initial=high))
     xs, ys = grid.xy()
     corner = np.array([[x, y] for x in (xs[0], xs[-1]) for y in (ys[0], ys[-1])])
     flattest = max(np.linalg.norm(corner - c[:2], axis=1).max() / max(c[2] - high, 1e-2) for c in centres)

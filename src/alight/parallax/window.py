@@ -24,8 +24,7 @@ GAP = 4  # cells: a gap between heights that is narrower than twice this starts 
 HALO = 8  # cells about a rectangle that are refined with it and discarded: no seams
 BESIDE = 0.02  # of the height: nearer cameras of one exposure have the same occlusions
 APART = 0.06  # of the height: nearer cameras see so much alike that a sweep needs only one of them
-ALIKE = 0.1  # rad, largest angle between the axes of such cameras
-SAME_FOCAL = 0.05  # largest relative difference of their focal lengths
+ALIKE = 0.1  # largest angle between the axes of such cameras, rad, and relative difference of their focal lengths
 
 
 class Refined(NamedTuple):
@@ -153,7 +152,7 @@ def _are_twins(a: Kept, b: Kept, within: float) -> bool:
     if a.view.t_ns != b.view.t_ns or np.linalg.norm(a.view.centre - b.view.centre) >= within:
         return False
     axes, k, m = [v.view.world_from_cam.rotation[:, 2] for v in (a, b)], a.fine.camera, b.fine.camera
-    same_field = (k.width, k.height) == (m.width, m.height) and abs(k.fu / m.fu - 1) < SAME_FOCAL
+    same_field = (k.width, k.height) == (m.width, m.height) and abs(k.fu / m.fu - 1) < ALIKE
     return same_field and float(axes[0] @ axes[1]) > np.cos(ALIKE)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -17,7 +18,7 @@ LOST = "WorkerLostError"  # prefix of errors of the machine, not of the landing
 OUTCOMES: tuple[Outcome, ...] = Outcome.__args__  # type: ignore[attr-defined]
 PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # the right outcomes
 MOST_LANDINGS = 100_000  # in a campaign; more would take years of CPU time
-LARGEST_SEED = 2**63 - 1
+LARGEST_SEED = sys.maxsize
 STRIKE = "strike"  # contact in flight with an obstacle beside the vehicle
 GROUND = ("slope", "roughness", "step", "belly", "rotor", "ground", "wire")  # reasons due to the ground, not the flying
 

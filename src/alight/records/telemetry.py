@@ -17,7 +17,7 @@ _NAN = float("nan")
 PRE_ARM = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 FIX_3D = 3
 FARTHEST_FROM_SEA = 120.0  # metres, largest distance of the geoid from the ellipsoid
-HIGHEST = 10_000.0  # metres above or below the sea, farther than any take-off site
+HIGHEST = 12_000.0  # metres; no ground lies as far above or below the sea or the ellipsoid
 
 
 class FlightMode(Enum):

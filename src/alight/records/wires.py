@@ -10,6 +10,8 @@ import numpy as np
 from alight.arrays import F32, F64
 from alight.geometry import Grid
 
+BEYOND = 4.0  # metres by which a wire may go on at either end of what was found of it
+
 
 @dataclass(frozen=True, eq=False)
 class Wire:

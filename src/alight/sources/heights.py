@@ -10,11 +10,10 @@ from rasterio.transform import Affine
 
 from alight.arrays import F64, I64
 from alight.records import InputError
+from alight.records.telemetry import HIGHEST
 from alight.sources.opened_raster import OpenedRaster, read_on
 from alight.sources.raster_band import Band, band_of_heights
 from alight.sources.raster_plane import RasterPlane, metric_plane
-
-HIGHEST = 12_000.0  # metres; no ground lies as far from the ellipsoid
 
 
 @dataclass(frozen=True, eq=False)

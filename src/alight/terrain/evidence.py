@@ -33,9 +33,8 @@ from alight.terrain.relief import Relief
 
 Terms = Iterator[tuple[str, F32]]  # features one by one, (R, C) each: all of them at once would take gigabytes
 
-NEAR, WIDE = 0.4, 2.0  # metres, 1-sigma of the mean of the strength of detail
+NEAR, WIDE = 0.4, 2.0  # metres, 1-sigma of the mean of the strength of detail; NEAR is also the search radius of spots
 REACH = 0.5  # metres, radius of local maxima and minima of the heights
-SPOT_REACH = 0.4  # metres, search radius of dark and bright spots
 OF_MATCHING = frozenset(  # unknown for surveyed heights
     (SurfaceTerm.RESIDUAL, SurfaceTerm.RESIDUAL_2M, SurfaceTerm.SIGMA, SurfaceTerm.MOVING, SurfaceTerm.MOVING_2M,
      SurfaceTerm.UNSURE, SurfaceTerm.REFUSED_2M, SurfaceTerm.TEXTURELESS, SurfaceTerm.SATURATED)
@@ -79,7 +78,7 @@ def _picture_terms(elevation: ElevationMap) -> Terms:
     light = _filled(light, share, 1.0 / pixel)
     del share, within  # arrays as fine as the picture are large
     spot = block_mean(_between(light, 0.07, 0.35, pixel), halves)
-    reach = max(1, round(SPOT_REACH / cell))
+    reach = max(1, round(NEAR / cell))
     yield PictureTerm.DARK, local_max(-spot, reach)
     yield PictureTerm.BRIGHT, local_max(spot, reach)
     smooth = (gaussian_mean(light, s / pixel) if s / pixel > 0.3 else light for s in WIDTHS)

@@ -40,9 +40,6 @@ from alight.records import Event, Frame, InputError, KeyframePosterior, Motion, 
 from alight.settings import BundleSettings
 from alight.spread import robust_sigma
 
-_TIGHT = 4.0, 2.0  # px: residual limit, and Cauchy scale of the triangulation, before and after the last adjustment
-_LAST_LOSS = 2.0  # sigmas, Cauchy scale of the last adjustment
-
 
 def adjust(
     frames: Sequence[Frame],
@@ -128,19 +125,20 @@ def solve_bundle(
         few, most = (o.without(lost) for o in (few, most))
         photos = np.setdiff1d(photos, lost)
         state = one_round(state, few, priors, *ROUNDS[-2])
-    state = one_round(state, most, priors, *ROUNDS[-1])
+    loss, cut = ROUNDS[-1]
+    state = one_round(state, most, priors, loss, cut)
     progress(0.75)
-    at, finer = retriangulate(state, most, priors, *_TIGHT)
+    at, finer = retriangulate(state, most, priors, cut, loss)
     finer = refine_observations(at, finer, priors, frames) if frames else finer
-    state, used = retriangulate(state, finer, priors, *_TIGHT)
+    state, used = retriangulate(state, finer, priors, cut, loss)
     progress(0.85)
     sigmas = _pixel_sigmas(residuals(state, used, priors), used.by_patch)
-    last = Adjustment(used, priors, sigmas, _LAST_LOSS)
+    last = Adjustment(used, priors, sigmas, loss)
     state = last.solve(state, 30)
-    joint, score = last.covariance(state), score_focal(used, priors, sigmas, _LAST_LOSS, state)
+    joint, score = last.covariance(state), score_focal(used, priors, sigmas, loss, state)
     if first.climbs:
         joint = _of_no_height(joint, tagged.centres[:, 2])
-    state, every = retriangulate(state, finer, priors, *_TIGHT)
+    state, every = retriangulate(state, finer, priors, cut, loss)
     enough = np.bincount(every.photo, minlength=len(priors.centres)) >= LEAST_OBSERVED
     registered = np.intersect1d(photos, np.flatnonzero(enough & fixed_attitudes(joint, len(priors.centres))))
     free = priors.sigma_lens > 0

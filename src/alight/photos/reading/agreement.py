@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from alight.arrays import F64, I64
+from alight.geometry.geodesy import MEAN_RADIUS
 
-METRES_A_DEGREE = 111_194.0
+METRES_A_DEGREE = math.radians(MEAN_RADIUS)
 SAME_ALTITUDE = 1.0  # m; two altitudes of a photo that differ by less are treated as equal
 STEADY = 5.0  # m; altitudes above sea level and above take-off may drift apart by this much, up or down, in a flight
-OTHER_SURFACE = 120.0  # m; sea level and ellipsoid are 107 m apart at most
 FACTORS = {0.3048: "as feet", -1.0: "with the opposite sign"}  # of heights, and how they are then read
 SIGNS = {"sign of the longitude": (1, -1), "sign of the latitude": (-1, 1), "signs": (-1, -1)}
 

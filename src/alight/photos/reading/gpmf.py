@@ -9,8 +9,8 @@ import numpy as np
 
 from alight.arrays import F64, Mask
 from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow
+from alight.records import FIX_3D
 
-FIX_3D = 3
 WORST_DOP = 10.0  # dilution of precision; above it, positions are off by tens of metres
 _NUMBERS = {"b": "i1", "B": "u1", "s": ">i2", "S": ">u2", "l": ">i4", "L": ">u4", "f": ">f4", "d": ">f8", "j": ">i8",
             "J": ">u8"}  # fmt: skip

@@ -16,7 +16,6 @@ from alight.arrays import F64, I64
 from alight.photos.reading.agreement import (
     FACTORS,
     METRES_A_DEGREE,
-    OTHER_SURFACE,
     SAME_ALTITUDE,
     STEADY,
     drift,
@@ -27,6 +26,7 @@ from alight.photos.reading.photo_pose import GPS_SIGMA, position_sigma
 from alight.photos.reading.photo_tags import PhotoTags, Position
 from alight.photos.reading.places import GivenPlace, Places, places_beside, read_places, unread_tables
 from alight.records import InputError
+from alight.records.telemetry import FARTHEST_FROM_SEA
 
 
 class Positions(NamedTuple):
@@ -177,13 +177,13 @@ def _compared_heights(
         return []
     factor = factor_by(heights[known], tagged[known], lambda off: float(np.median(np.abs(off))))
     is_above = float(np.median(np.abs(heights - above)[known])) < 0.1 * abs(off)
-    datum = "they count from another surface" if abs(off) <= OTHER_SURFACE else "one is wrong"
+    datum = "they count from another surface" if abs(off) <= FARTHEST_FROM_SEA else "one is wrong"
     why = f"{FACTORS[factor]} they agree" if factor != 1.0 else "they count from take-off" if is_above else datum
     text = (
         f"{file}: its heights lie {abs(off):.1f} m {'above' if off > 0 else 'below'} those of the tags "
         f"({np.median(heights[known]):.0f} and {np.median(tagged[known]):.0f} m): {why}; they are used as written"
     )
-    if factor == 1.0 and not is_above and abs(off) <= OTHER_SURFACE:
+    if factor == 1.0 and not is_above and abs(off) <= FARTHEST_FROM_SEA:
         return [text]
     contradictions.append(text)
     return []
@@ -318,7 +318,7 @@ def _altitudes(
     used = np.where(np.isfinite(first), first, second)
     source = "tags, altitudes in EXIF" if use_exif and np.isfinite(exif).any() else "tags, altitudes in XMP"
     used = _checked_by_takeoff(used, relative, flights, contradictions)
-    if np.isfinite(used).any() and (low := float(np.nanmedian(used))) < -OTHER_SURFACE:
+    if np.isfinite(used).any() and (low := float(np.nanmedian(used))) < -FARTHEST_FROM_SEA:
         warnings.append(f"altitudes lie {-low:.0f} m below the sea: if the ground does not, GPSAltitudeRef is wrong")
     return used, source
 

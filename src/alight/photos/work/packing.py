@@ -30,7 +30,7 @@ KINDS: dict[str, type[Any]] = {
         RigCamera, Trajectory,
     )
 }  # fmt: skip
-_DIGEST = 16  # bytes of the digest before the archive
+_DIGEST = blake2b().digest_size  # bytes of the digest before the archive
 
 
 def pack_result(value: Any, about: str) -> bytes:
@@ -66,7 +66,7 @@ def unpack_result(data: bytes) -> Any:
 
 
 def _digest(about: str, body: bytes) -> bytes:
-    return blake2b(b"\0".join([about.encode(), body]), digest_size=_DIGEST).digest()
+    return blake2b(b"\0".join([about.encode(), body])).digest()
 
 
 def _plain(value: Any, arrays: list[NDArray[Any]]) -> Any:
