@@ -16,7 +16,8 @@ from alight.arrays import F32, I64, U8, Mask
 
 T = TypeVar("T", bound=np.generic)
 Float = TypeVar("Float", bound=np.floating[Any])
-RIM = 1e-6  # cells, added to the radius: a centre exactly on the rim belongs to the disc in spite of rounding
+# cells, added to the radius: a centre exactly on the rim belongs to the disc in spite of rounding
+RIM = float(np.finfo(np.float32).eps)
 LEAST_SHARE = np.float32(1e-3)  # least share of a Gaussian's weight on known cells for a mean
 _LOG_LEVELS = np.log(np.arange(256, dtype=np.float32) + np.float32(2.0))  # + 2: noise in dark pixels gives no contrast
 

@@ -24,8 +24,7 @@ from alight_sim.patch import GroundPatch
 from alight_sim.spans import TrueSpans
 
 PIECE = 0.25  # metres, longest piece: straight to a tenth of a pixel through the lens's distortion from 4 m
-SUN_WIDTH = math.radians(0.53)  # rad: the sun's disc
-DISC = 0.866  # width of the box of the same variance, over the disc's diameter
+SUN_WIDTH = math.radians(0.459)  # rad: width of the box whose variance is that of the sun's disc
 NEAREST = 0.05  # metres: what is closer to the lens is not drawn
 BEHIND = 0.05  # metres by which a wire may lie behind what hides it: the top of its own post
 FLATTEST = 0.4  # cosine of the steepest piece that is gone through by columns, with the others of its line
@@ -214,7 +213,7 @@ def _draw_shadows(hanging: Hanging, view: CameraMoment, patch: GroundPatch, lit:
     # a step aside, square to wire and ray, seen along the ray on level ground
     step = _unit(np.cross(sun, ends[:, 1] - ends[:, 0]))
     step -= step[:, 2:] / sun[2] * sun
-    blur = DISC * SUN_WIDTH * hanging.away[there]
+    blur = SUN_WIDTH * hanging.away[there]
     rim = 0.5 * hanging.diameter[there, None] * step
     strips = _strips(view, hanging.number[there], feet, rim, blur / hanging.diameter[there])
     near = np.abs(strips.depth - view.depth[strips.row, strips.col]) < THERE + FAR * strips.depth

@@ -15,9 +15,10 @@ from scipy.stats import chi2
 
 from alight.arrays import F64
 from alight.geometry import skew, so3_exp, so3_log
+from alight.motion.ekf.health import MAX_REJECTIONS
 from alight.motion.ekf.keyframe_posterior import CloneWindow
 from alight.motion.ekf.state import AT, CORE, FilterState, Landmarks
-from alight.motion.ekf.visual_update import MAX_REJECTIONS, reject_moving
+from alight.motion.ekf.visual_update import reject_moving
 from alight.motion.gps_ins import Quantity, measurements
 from alight.motion.points import marginalise_points, triangulate_window, unit_noise_rows
 from alight.motion.robust import robust_pose_weights

@@ -38,6 +38,11 @@ def nothing(shape: tuple[int, int]) -> Fields:
     return {k: np.full(_shape(k, shape), v, t) for k, (t, v) in FIELDS.items()}
 
 
+def bytes_a_cell() -> int:
+    """Return the size of a cell in memory."""
+    return sum(v.nbytes for v in nothing((1, 1)).values())
+
+
 def pack_tile(tile: Fields) -> bytes:
     """Compress a tile to bytes."""
     return bytes(lz4.frame.compress(b"".join(tile[k].tobytes() for k in FIELDS)))

@@ -76,6 +76,15 @@ class Grid:
         rows, cols = box
         return self.window(rows.start, cols.start, rows.stop - rows.start, cols.stop - cols.start)
 
+    def box_about(self, places: F64) -> Box:
+        """Return rows and columns around positions (..., 2), metres east and north; empty beyond the grid."""
+        east, north = places.reshape(-1, 2).T
+        rows, cols = self.index(np.array([east.min(), east.max()]), np.array([north.max(), north.min()]))
+        return (
+            slice(int(np.clip(rows[0], 0, self.rows)), int(np.clip(rows[1] + 1, 0, self.rows))),
+            slice(int(np.clip(cols[0], 0, self.cols)), int(np.clip(cols[1] + 1, 0, self.cols))),
+        )
+
     def coarser(self, factor: int) -> Grid:
         """Return the grid of cells `factor` times as wide; its last row and column may reach beyond this grid."""
         shift = 0.5 * (factor - 1) * self.cell

@@ -18,9 +18,10 @@ from alight.raster import block_quantile, upsample
 from alight.records import ElevationMap, Route, Site, Waypoint, Wire, is_measured, nearest_wire
 from alight.records.wires import BEYOND
 from alight.settings import RouteSettings
+from alight.settings.tuning.executive import ExecutiveTuning
 
 WIRE_ABOUT = 1.0  # metres: how far a wire may be from where it was found
-UNMAPPED = 0.05  # largest unmapped share of the ground beside the path, as in `executive.unmapped`
+UNMAPPED = ExecutiveTuning().unmapped  # largest unmapped share of the ground beside the path
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,6 @@ MOST = 4  # fine pixels on a side of a cell, at most
 LARGE = 80_000_000  # pixels, 240 MB: a larger picture is made coarser; few photos are taken from so near
 SAME = 0.3  # share of a block that two views must both show to compare their exposures
 AROUND = 0.05  # margin for rolling shutter and lens: share of the side of the ground that a picture shows
-FLAT = 0.05  # sine of a ray's angle to the ground below which their intersection is not computed
 COARSER = 1.5  # a view is not used if its pixel is larger than the finest view's by this factor
 
 
@@ -41,17 +40,12 @@ def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> Box:
     `rays`: (N, 3) directions along the picture's border, world. `centre`: (3,) of the camera.
     """
     everything = slice(0, grid.rows), slice(0, grid.cols)
-    if centre[2] <= high or (rays[:, 2] > -FLAT * np.linalg.norm(rays, axis=1)).any():
+    if centre[2] <= high or (rays[:, 2] >= 0).any():
         return everything
     reach = (np.array([[low], [high]]) - centre[2]) / rays[:, 2]
     places = centre[:2] + (reach[..., None] * rays[:, :2]).reshape(-1, 2)
     around = AROUND * np.ptp(places, axis=0) + grid.cell
-    (west, south), (east, north) = places.min(axis=0) - around, places.max(axis=0) + around
-    rows, cols = grid.index(np.array([west, east]), np.array([north, south]))
-    (top, bottom), (left, right) = (
-        (int(np.clip(a, 0, n)), int(np.clip(b + 1, 0, n))) for (a, b), n in zip((rows, cols), grid.shape, strict=True)
-    )
-    return slice(top, bottom), slice(left, right)
+    return grid.box_about(np.array([places.min(axis=0) - around, places.max(axis=0) + around]))
 
 
 def _block(

@@ -21,6 +21,7 @@ from alight.records import View
 
 NORM_CELLS = 5  # cells, window of the local mean and deviation; 9 cells smear walls and give a third more noise
 NORM_FLOOR = 3.0  # grey levels, least standard deviation: noise is not amplified to texture
+STEEPEST = np.cos(np.radians(75.0))  # cosine of the largest angle of used views and rays from straight down
 LEAST_SIDE = 8  # pixels, least length of the shorter side of a picture that is made coarser
 
 
@@ -57,6 +58,15 @@ def border_rays(camera: Camera) -> F64:
     u, v = np.linspace(0, w, 17), np.linspace(0, h, 17)
     border = np.concatenate([np.c_[u, 0 * u], np.c_[u, 0 * u + h], np.c_[0 * v, v], np.c_[0 * v + w, v]])
     return camera.rays(border)
+
+
+def on_level(rays: F64, centre: F64, height: float) -> F64:
+    """Return where rays (N, 3) from a camera `centre` (3,) meet level ground at `height`, (N, 2) metres.
+
+    Flatter rays than `STEEPEST` end at that angle.
+    """
+    down = np.maximum(-rays[:, 2], np.linalg.norm(rays, axis=1) * STEEPEST)
+    return np.asarray(centre[:2] + rays[:, :2] * ((centre[2] - height) / down)[:, None])
 
 
 @cache

@@ -18,7 +18,7 @@ _PHOTO_INTERVALS = 2.5  # the same time in intervals between exposures: photos c
 _SETTLING = 3  # supported exposures that end the initialisation
 _START, _START_INTERVALS = 3.0, 10.0  # s, intervals that end it in any case: a hover has no parallax
 _CONTRADICTIONS = 5  # exposures in a row in which most features contradict the state, until it is wrong
-_GPS_REJECTIONS = 3  # GPS positions in a row that fail their gate: more than chance
+MAX_REJECTIONS = 3  # times in a row that a GPS position or a landmark may fail its gate by chance; then it is wrong
 _MAX_INNOVATION = 3.0  # mean squared innovation over its variance; above it observations are worse than claimed
 _INNOVATION_GAIN = 0.2  # weight of the last exposure in the running mean
 _MAX_TILT_SIGMA, _MAX_VELOCITY_SIGMA = 0.2, 20.0  # rad, m/s; above these the state has diverged
@@ -120,7 +120,7 @@ class Health:
             return MotionState.DEGRADED, "GPS/INS only: no features are learned yet; they are when the vehicle moves"
         if not seen:
             return MotionState.DEGRADED, "GPS/INS only: too few features, or they contradict the motion"
-        if self._gps_rejections >= _GPS_REJECTIONS:
+        if self._gps_rejections >= MAX_REJECTIONS:
             return MotionState.DEGRADED, "vision only: GPS is at odds with it"
         if not position:
             return MotionState.DEGRADED, "vision only: GPS is silent"

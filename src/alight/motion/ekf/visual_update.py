@@ -11,7 +11,7 @@ from scipy.special import gammaincinv
 from alight.arrays import F64, I64
 from alight.geometry import Camera, Pose
 from alight.motion.dynamics import MAX_RATE_AGE
-from alight.motion.ekf.health import GateCounts
+from alight.motion.ekf.health import MAX_REJECTIONS, GateCounts
 from alight.motion.ekf.keyframe_posterior import CloneWindow
 from alight.motion.ekf.landmark_kernels import (
     gate_distances,
@@ -21,13 +21,11 @@ from alight.motion.ekf.landmark_kernels import (
 )
 from alight.motion.ekf.state import AT, CLONE, LANDMARK, FilterState, Landmarks
 from alight.motion.observations import WindowObservations, cameras_at, observation_sigma, positions
-from alight.motion.points import NEAR, marginalise_points, unit_noise_rows
+from alight.motion.points import MIN_POSES, NEAR, marginalise_points, unit_noise_rows
 from alight.motion.robust import median_of, median_residual, robust_pose_weights, robust_weights
 from alight.records import Tracks
 from alight.settings import FilterSettings
 
-MAX_REJECTIONS = 3  # exposures in a row outside its gate after which a landmark is dropped as moving
-_MIN_POSES = 3  # poses that must have observed a track before it is used
 _MIN_FREEDOM = 2  # degrees of freedom of a track that becomes a landmark: enough to check its observations
 _MAX_LINEARISATION_ERROR = 0.04  # rad between a clone and its first estimate; above it Jacobians are no longer valid
 _RESIDUAL_GAIN = 0.3  # weight of the last exposure in a landmark's running mean residual
@@ -111,7 +109,7 @@ class VisualUpdate:
         if dropped == [0]:
             ended |= unused.observed[:, 0]
         self._unused = unused.select(~ended)
-        return self._update_poses(state, unused.select(ended & (unused.observed.sum(axis=1) >= _MIN_POSES)))
+        return self._update_poses(state, unused.select(ended & (unused.observed.sum(axis=1) >= MIN_POSES)))
 
     def _update_poses(self, state: FilterState, observations: WindowObservations) -> GateCounts:
         """Update the clones by tracks whose points are eliminated (MSCKF update)."""
@@ -172,7 +170,7 @@ class VisualUpdate:
         # measures the poses; the other gives the point, its covariance, and its exact cross covariance with the state
         s, unused = self._settings, self._unused
         free, length = s.points - len(state.landmarks), unused.observed.sum(axis=1)
-        ready = np.flatnonzero((length >= _MIN_POSES) & unused.observed[:, -1])
+        ready = np.flatnonzero((length >= MIN_POSES) & unused.observed[:, -1])
         if free <= 0 or not len(ready):
             return GateCounts()
         ready = ready[np.argsort(-length[ready], kind="stable")][: 2 * free]

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from alight.arrays import F64, I64
 from alight.geometry import Pose, skew
 from alight.motion.point_kernels import MIN_DEPTH, eliminate_list
-from alight.motion.points import NEAR, triangulate_rays
+from alight.motion.points import MIN_POSES, NEAR, triangulate_rays
 from alight.motion.robust import cauchy
 from alight.records import Tracks
 
-_MIN_EXPOSURES = 3  # least exposures of a segment
 _POINT_PRIOR = 1e-4  # 1/m^2 on the diagonal of a point's information: fixes points with parallel rays
 
 
@@ -55,7 +54,7 @@ class TrackSegments:
         exposure = np.repeat(np.arange(len(tracks)), [len(t.ids) for t in tracks])
         ids, normalised = (np.concatenate(rows) for rows in zip(*((t.ids, t.normalised) for t in tracks), strict=True))
         segment = _segment_of(exposure, ids, span)
-        long = np.bincount(segment, minlength=1)[segment] >= _MIN_EXPOSURES if len(segment) else np.zeros(0, bool)
+        long = np.bincount(segment, minlength=1)[segment] >= MIN_POSES if len(segment) else np.zeros(0, bool)
         row, cam = np.nonzero(np.isfinite(normalised[..., 0]) & long[:, None])
         order = np.argsort(segment[row], kind="stable")
         row, self.cam = row[order], cam[order]  # (M,)

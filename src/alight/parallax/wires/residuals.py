@@ -24,6 +24,7 @@ from alight.parallax.views import (
     ground_sampling,
     halved,
     maps,
+    on_level,
     radius2_limit,
     rolling_of,
     sample,
@@ -32,7 +33,6 @@ from alight.raster import difference_of_gaussians, grey_levels, log_levels
 from alight.records import View
 
 BAND = 0.8, 2.6  # cells, 1-sigma of the two Gaussians whose difference keeps what is as thin as a wire
-STEEPEST = 4.0  # tangent of the angle from straight down up to which a picture's border is followed to the ground
 LEAST_SIDE = 64  # cells, of the part of the ground that a view shows
 COMMON = 1.5  # mean deviations from the common picture at which a view is clipped, so that a wire leaves no ghost in it
 CLIP = 3.0  # sigmas at which the difference of one cell is clipped: one stone is no line
@@ -66,15 +66,7 @@ def _band(view: View, cell: float, ground: float) -> Prepared:
 def _seen(view: View, camera: Camera, grid: Grid, ground: float) -> Box:
     """Return rows and columns of a grid at `ground` metres up that a view may see."""
     rays = border_rays(camera) @ view.world_from_cam.rotation.T
-    flat = np.hypot(rays[:, 0], rays[:, 1])
-    reach = (view.centre[2] - ground) / np.maximum(-rays[:, 2], flat / STEEPEST)
-    places = view.centre[:2] + reach[:, None] * rays[:, :2]
-    (west, south), (east, north) = places.min(axis=0), places.max(axis=0)
-    rows, cols = grid.index(np.array([west, east]), np.array([north, south]))
-    (top, bottom), (left, right) = (
-        (int(np.clip(a, 0, n)), int(np.clip(b + 1, 0, n))) for (a, b), n in zip((rows, cols), grid.shape, strict=True)
-    )
-    return slice(top, bottom), slice(left, right)
+    return grid.box_about(on_level(rays, view.centre, ground))
 
 
 class _OnGround(NamedTuple):

@@ -31,7 +31,6 @@ Complex = NDArray[np.complex128]  # first axis + 1j times the axis to its left
 
 BETWEEN = 0.2  # s, least time between two compared pictures
 LONGEST = 120.0  # s, longest part of a film that is compared
-SPAN = 1.0  # s over which a velocity is averaged, because GPS repeats and rounds its positions
 PARTLY = 30.0  # s; if both last longer, an overlap of two thirds suffices, else the longer contains the shorter
 TILT = 0.3  # rad, 1-sigma tilt of a camera that looks down; with less, a turn at constant speed looks like an offset
 MODEL = 0.15  # share of the motion that tilt, relief and GPS may leave unexplained at the true offset
@@ -99,7 +98,7 @@ def film_offset(pictures: PicturePath, telemetry: FilmTelemetry) -> ClockOffset:
     common = np.minimum(first + len(u), len(v)) - np.maximum(first, 0)
     short = min(len(u), len(v))
     tried = common >= (short if short * STEP < PARTLY else 2 * short / 3)
-    if short * STEP < SPAN or tried.sum() * STEP < 4.0 * LOBE:
+    if short * STEP < LOBE or tried.sum() * STEP < 4.0 * LOBE:
         return ClockOffset(0.0, math.inf, "they are too short")
     return clearest(np.asarray(s0 - t0 + STEP * first[tried]), np.asarray(left[tried], np.float64))
 
@@ -114,7 +113,10 @@ def _sums(a: Complex | F64, b: Complex | F64) -> Complex:
 
 
 def _velocity(seconds: F64, path: Complex) -> tuple[float, Complex]:
-    """Return the first time (s) and the velocity at steps of `STEP` s along a path; empty if the path is too short."""
-    t = np.arange(seconds[0] + SPAN / 2, seconds[-1] - SPAN / 2 + 1e-9, STEP)
-    after, before = (np.interp(t + d, seconds, path) for d in (SPAN / 2, -SPAN / 2))
-    return float(t[0]) if len(t) else 0.0, np.asarray((after - before) / SPAN)
+    """Return the first time (s) and the velocity at steps of `STEP` s along a path; empty if the path is too short.
+
+    It is averaged over `LOBE`, because GPS repeats and rounds its positions.
+    """
+    t = np.arange(seconds[0] + LOBE / 2, seconds[-1] - LOBE / 2 + 1e-9, STEP)
+    after, before = (np.interp(t + d, seconds, path) for d in (LOBE / 2, -LOBE / 2))
+    return float(t[0]) if len(t) else 0.0, np.asarray((after - before) / LOBE)

@@ -10,6 +10,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import LocalFrame, Pose, enu_from_flu
+from alight.photos.reading.agreement import METRES_A_DEGREE
 from alight.photos.reading.photo_tags import PhotoTags
 from alight.records import NavSample
 
@@ -86,7 +87,7 @@ def _turns(photos: Sequence[PhotoTags]) -> bool:
     """
     timed = sorted(photos, key=lambda p: (p.time_ns or 0, p.path))
     places = np.array([p.place for p in timed if p.place is not None]).reshape(-1, 2)
-    legs = np.diff(places, axis=0) * [111_194.0, 111_194.0 * np.cos(np.radians(places[:1, 0])).sum()]
+    legs = np.diff(places, axis=0) * (METRES_A_DEGREE * np.array([1.0, np.cos(np.radians(places[:1, 0])).sum()]))
     long = np.linalg.norm(legs, axis=1)
     ways = legs[long > GPS_SIGMA[0]] / long[long > GPS_SIGMA[0], None]
     others = (ways @ ways.T < math.cos(math.radians(45.0))).sum(axis=1)  # legs in other directions

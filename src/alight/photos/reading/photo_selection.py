@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,9 +21,6 @@ from alight.sources.image_formats import EXTRAS, missing_extra
 
 PLAIN = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 SUFFIXES = (*PLAIN, *EXTRAS)
-MICROBOLOMETERS = (  # width and height of thermal sensors, pixels
-    (1280, 1024), (640, 512), (640, 480), (384, 288), (336, 256), (320, 256), (320, 240), (256, 192), (160, 120),
-)  # fmt: skip
 VIVID = 30.0  # grey levels, spread of the colours about grey: photos of the ground have 4 to 21, palettes 24 to 170
 CURVE = 1.5  # cells of 16 levels that colours take, per level of spread: palettes take 0.2 to 1.5, vivid photos 2 to 10
 
@@ -207,7 +206,14 @@ def _is_named_thermal(photo: PhotoTags) -> bool:
 
 
 def _has_thermal_size(photo: PhotoTags) -> bool:
-    return (max(photo.size), min(photo.size)) in MICROBOLOMETERS
+    return [max(photo.size), min(photo.size)] in _thermal_sizes()
+
+
+@cache
+def _thermal_sizes() -> list[list[int]]:
+    """Return width and height of thermal sensors (microbolometers), pixels."""
+    found: list[list[int]] = json.loads(Path(__file__).with_name("thermal_sizes.json").read_text())
+    return found
 
 
 def _sees_infrared(photo: PhotoTags) -> bool:

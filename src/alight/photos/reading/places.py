@@ -36,7 +36,7 @@ COLUMNS = {  # names of the columns of a table, reduced to letters
     "north": "sigman sigmanorth sdlat",
 }  # fmt: skip
 ROLES = {word: role for role, words in COLUMNS.items() for word in words.split()}
-WGS84 = pyproj.CRS.from_epsg(4326)
+WGS84 = pyproj.CRS("WGS84")
 UNDECLARED = "sea level or ellipsoid: not declared"
 REFERENCES = {  # first letters in a column of hemispheres or `GPSAltitudeRef`: of positive and of negative values
     "latitude": ("N", "S"), "longitude": ("E", "W"), "height": ("A02", "B13"),

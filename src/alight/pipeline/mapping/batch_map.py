@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from alight.arrays import F64
-from alight.elevation import TileStore
+from alight.elevation import TileStore, bytes_a_cell
 from alight.geometry import Grid
 from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task
 from alight.parallax.batch import Images, MatchedBlock, match_tile
@@ -21,7 +21,7 @@ from alight.parallax.sparse_points import NO_POINTS, height_range
 from alight.parallax.views import choose_views, ground_sampling, may_see
 from alight.pipeline.map_frame import in_world
 from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, map_at_end
-from alight.pipeline.mapping.ground_map import BYTES_A_CELL, GroundMap, refuse_too_large
+from alight.pipeline.mapping.ground_map import GroundMap, refuse_too_large
 from alight.pipeline.mapping.keyframes import ENOUGH, FrameStore, bounds, ground_in, is_keyframe, looking_down, views_of
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.timing import Progress, Timings
@@ -135,7 +135,7 @@ class BatchMap(GroundMap):
         assert self.elevation is not None
         assert self.ground is not None
         low, high = bounds(asking, self.ground_under(asking))
-        refuse_too_large(low, high, self.elevation.cell_at(level), BYTES_A_CELL)
+        refuse_too_large(low, high, self.elevation.cell_at(level), bytes_a_cell())
         grids = [g for g in self.tile_grids(asking, low, high, level) if only(g)]
         self._step += 1
         images = KeptHere(f"images-{self._step}", partial(Images, [], self.elevation.cell_at(level), self.ground))

@@ -21,7 +21,6 @@ from alight.settings import StageSettings
 from alight.settings.tuning import MappingTuning
 
 NO_PARALLAX = "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
-BYTES_A_CELL = 22.0  # of a map: height, sigma, flags, views, rgb, residual, sampling
 # by `parallax.quality`: cell size over 1.8 pixels, and least cell size over the cell size on which the lander is
 # judged
 QUALITY = {"fast": (2.0, 1.0), "normal": (1.0, 0.5), "fine": (1.0, 0.0)}

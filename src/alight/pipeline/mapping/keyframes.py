@@ -10,11 +10,10 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Camera
-from alight.parallax.views import inside_picture, radius2_limit
+from alight.parallax.views import STEEPEST, inside_picture, on_level, radius2_limit
 from alight.records import Frame, Motion, Rig, View
 from alight.settings import StageSettings
 
-STEEPEST = np.cos(np.radians(75.0))  # cosine of the largest angle of used views from straight down
 ENOUGH = 40  # least number of points or cells to estimate a height
 
 
@@ -95,9 +94,7 @@ def _border(camera: Camera) -> F64:
 
 def footprint(view: View, height: float) -> F64:
     """Project the picture's border onto level ground at `height`, (N, 2) metres; rays end at 75 degrees from down."""
-    rays = _border(view.camera) @ view.world_from_cam.rotation.T
-    down = np.maximum(-rays[:, 2], np.linalg.norm(rays, axis=1) * STEEPEST)
-    return np.asarray(view.centre[:2] + rays[:, :2] * ((view.centre[2] - height) / down)[:, None])
+    return on_level(_border(view.camera) @ view.world_from_cam.rotation.T, view.centre, height)
 
 
 def bounds(views: Sequence[View], height: float | F64) -> tuple[F64, F64]:

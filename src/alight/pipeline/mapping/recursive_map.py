@@ -10,12 +10,12 @@ from typing import ClassVar
 import numpy as np
 
 from alight.arrays import F64, U16, Mask
-from alight.elevation import TiledElevation, TileStore, doublings_up_to
+from alight.elevation import TiledElevation, TileStore, bytes_a_cell, doublings_up_to
 from alight.geometry import Box, Grid
 from alight.parallax.recursive import RecursiveParallax
 from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, map_at_end
-from alight.pipeline.mapping.ground_map import BYTES_A_CELL, GroundMap, refuse_too_large
+from alight.pipeline.mapping.ground_map import GroundMap, refuse_too_large
 from alight.pipeline.mapping.keyframes import FrameStore, Keyframe, bounds, is_keyframe, looking_down, views_of
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.remembered import NOWHERE, Remembered, what_moves, who_came
@@ -163,7 +163,7 @@ class RecursiveMap(GroundMap):
             low, high = np.minimum(low, about - reach), np.maximum(high, about + reach)
         here = self.elevation.cell_at(self.level)
         level = self.level + doublings_up_to(here, self.settings.lander.judging_cell)
-        found = self.elevation.read(_window(self.elevation, low, high, level, BYTES_A_CELL))
+        found = self.elevation.read(_window(self.elevation, low, high, level, bytes_a_cell()))
         return replace(found, datum=self.datum) if found.trusted.any() else None
 
 
