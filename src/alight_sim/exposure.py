@@ -53,9 +53,6 @@ class Imaging(Section):
     dust: int = Field(0, ge=0, le=1000, description="specks on the sensor, soft and dark")
 
 
-QUIET = {"gain_drift": 0.0, "white_balance": 0.0, "noise": 0.0}  # imaging without random effects
-
-
 @dataclass(frozen=True, eq=False)
 class Sensor:
     """Lens and sensor of one camera with their flaws, made once and used for every exposure."""

@@ -68,17 +68,21 @@ class Material:
 
 
 @cache
-def _table() -> dict[str, Any]:
-    """Return the contents of the card."""
+def _tables() -> dict[str, Any]:
     found: dict[str, Any] = parse_yaml(read_text(Path(__file__).with_suffix(".yaml")))
     return found
+
+
+def table(name: str) -> Any:
+    """Return one table of the card."""
+    return _tables()[name]
 
 
 @cache
 def materials() -> dict[Look, Material]:
     """Return the material of each look."""
-    out, kinds = dict[Look, Material](), _table()["kinds"]
-    for name, given in _table()["materials"].items():
+    out, kinds = dict[Look, Material](), table("kinds")
+    for name, given in table("materials").items():
         values = kinds.get(given.get("like"), {}) | {k: v for k, v in given.items() if k != "like"}
         values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
         if "pattern" in values:
@@ -91,7 +95,7 @@ def materials() -> dict[Look, Material]:
 
 def palette(name: str) -> F64:
     """Return the colours (K, 3) of a kind of things, linear RGB."""
-    return np.array(_table()["palettes"][name])
+    return np.array(table("palettes")[name])
 
 
 BY_CLASS: dict[Terrain, Look] = {

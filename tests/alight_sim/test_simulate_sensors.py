@@ -5,10 +5,11 @@ import math
 
 import numpy as np
 import pytest
+from quiet_imaging import QUIET
 
 from alight.geometry import Camera, so3_exp, so3_log
 from alight_sim import Air, Faults, FlightPlan, Imaging, ImuErrors, NavErrors, default_rig
-from alight_sim.exposure import QUIET, Sensor, gains, irregular_gauss_markov
+from alight_sim.exposure import Sensor, gains, irregular_gauss_markov
 from alight_sim.faults import Calibration, exposures
 from alight_sim.kernels.exposure import LEVELS, develop
 from alight_sim.patterns import line

@@ -2,15 +2,6 @@
 
 from alight.elevation.levels import doublings_up_to, on_cells_up_to
 from alight.elevation.map import TiledElevation
-from alight.elevation.tiles import FIELDS, Name, NullStore, TileStore, bytes_a_cell
+from alight.elevation.tiles import FIELDS, Name, NullStore, TileStore
 
-__all__ = [
-    "FIELDS",
-    "Name",
-    "NullStore",
-    "TileStore",
-    "TiledElevation",
-    "bytes_a_cell",
-    "doublings_up_to",
-    "on_cells_up_to",
-]
+__all__ = ["FIELDS", "Name", "NullStore", "TileStore", "TiledElevation", "doublings_up_to", "on_cells_up_to"]

@@ -79,11 +79,11 @@ class Grid:
     def box_about(self, places: F64) -> Box:
         """Return rows and columns around positions (..., 2), metres east and north; empty beyond the grid."""
         east, north = places.reshape(-1, 2).T
-        rows, cols = self.index(np.array([east.min(), east.max()]), np.array([north.max(), north.min()]))
-        return (
-            slice(int(np.clip(rows[0], 0, self.rows)), int(np.clip(rows[1] + 1, 0, self.rows))),
-            slice(int(np.clip(cols[0], 0, self.cols)), int(np.clip(cols[1] + 1, 0, self.cols))),
+        ends = self.index(np.array([east.min(), east.max()]), np.array([north.max(), north.min()]))
+        rows, cols = (
+            slice(int(np.clip(a, 0, n)), int(np.clip(b + 1, 0, n))) for (a, b), n in zip(ends, self.shape, strict=True)
         )
+        return rows, cols
 
     def coarser(self, factor: int) -> Grid:
         """Return the grid of cells `factor` times as wide; its last row and column may reach beyond this grid."""

@@ -6,8 +6,9 @@ A table stores the identifiers that it was fitted on. `models.FittedTable.of` re
 from __future__ import annotations
 
 from enum import StrEnum
+from itertools import pairwise
 
-BANDS = 5  # octaves of picture detail, from 0.05 m
+BAND_LIMITS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # metres, 1-sigma: limits of the bands of log brightness
 RELATIVE = "_vs_frame"  # suffix for a feature minus its median over the frame
 
 
@@ -123,7 +124,7 @@ def _values(*kinds: type[StrEnum]) -> tuple[str, ...]:
 RELIEF_TERMS, DENSITY_TERMS, GROUND_TERMS = (_values(kind) for kind in (ReliefTerm, DensityTerm, GroundTerm))
 _FROM_AFAR = (ReliefTerm.ROUGHNESS_TREND, ReliefTerm.RESIDUAL_MEAN, DensityTerm.SPOT_AROUND, GroundTerm.AROUND)
 NEAR_TERMS = tuple(t for t in _values(ReliefTerm, DensityTerm, GroundTerm, NearTerm) if t not in _FROM_AFAR)
-_BANDS = tuple(band(octave) for octave in range(BANDS))
+_BANDS = tuple(band(octave) for octave, _ in enumerate(pairwise(BAND_LIMITS)))
 FRAME_TERMS = (  # features that are also used minus their median over the frame
     SurfaceTerm.ROUGH_02, SurfaceTerm.ROUGH_05, SurfaceTerm.RESIDUAL, *_BANDS, PictureTerm.DARK, PictureTerm.BRIGHT,
     PictureTerm.TINT,

@@ -51,10 +51,10 @@ class Run:
             raise InputError(f"{self.folder / RUN_JSON}: of another version of Alight; run again") from e
 
 
-# the rasters of a run: number of bands, NumPy kind (float, unsigned), and the fields of `Run` that they fill
+# rasters of a run: NumPy kind (float, unsigned), and their bands: fields of `Run`, or colours of its `ortho`
 RASTERS = {
-    "dem": (2, "f", ("height", "sigma")), "flags": (1, "u", ("flags",)), "terrain": (1, "u", ("terrain",)),
-    "safe": (1, "f", ("safe",)), "reasons": (1, "u", ("reasons",)), "ortho": (3, "u", ()),
+    "dem": ("f", ("height", "sigma")), "flags": ("u", ("flags",)), "terrain": ("u", ("terrain",)),
+    "safe": ("f", ("safe",)), "reasons": ("u", ("reasons",)), "ortho": ("u", ("red", "green", "blue")),
 }  # fmt: skip
 
 _Metres = Annotated[float, Field(ge=-1e6, le=1e6)]  # from the origin: a local frame ends long before
@@ -122,13 +122,14 @@ def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[A
 def _maps(folder: Path) -> dict[str, Any]:
     """Read the rasters of a run: the fields of `Run` that they fill, and the grid that they share."""
     found: dict[str, Any] = {}
-    for name, (least, kind, fields) in RASTERS.items():
+    for name, (kind, fields) in RASTERS.items():
         path = folder / f"{name}.tif"
         if path.exists():
-            bands, grid = read_bands(path, least, kind, AGAIN)
+            bands, grid = read_bands(path, len(fields), kind, AGAIN)
             if grid != found.setdefault("grid", grid):
                 raise InputError(f"{path}: not on the grid of the run's other rasters; {AGAIN}")
-            found |= zip(fields, bands, strict=False) if fields else {name: np.moveaxis(bands[:3], 0, 2)}
+            read = dict(zip(fields, bands, strict=False))
+            found |= {name: np.stack(list(read.values()), axis=-1)} if name == "ortho" else read
     return found
 
 

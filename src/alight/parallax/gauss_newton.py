@@ -16,12 +16,11 @@ from alight.geometry import Box, Grid
 from alight.parallax import gauss_newton_kernels as kernels
 from alight.parallax import uncertainty_kernels, view_kernels, visibility_kernels
 from alight.parallax.sorting_kernels import network
-from alight.parallax.views import Buffers, Prepared, centres_of, maps, stack
+from alight.parallax.views import BLOCK, Buffers, Prepared, centres_of, maps, stack
 from alight.raster import upsample
 from alight.settings.tuning.parallax import RefinementTuning
 
 SEEN_BLOCK = 4  # cells
-BLOCK = 8  # half-resolution cells on a side of a block of `Skyline.tops`
 
 
 @dataclass(frozen=True, eq=False)

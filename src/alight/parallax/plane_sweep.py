@@ -20,16 +20,16 @@ from alight.arrays import F32, F64, I32, I64, Mask
 from alight.geometry import Box, Grid, box_of
 from alight.parallax import sweep_kernels as kernels
 from alight.parallax.sorting_kernels import network
-from alight.parallax.views import Prepared, centres_of, maps, sample, when_exposed
+from alight.parallax.views import BLOCK, Prepared, centres_of, maps, sample, when_exposed
 from alight.raster import upsample
 from alight.settings.tuning.parallax import SweepTuning
 
-SEEN_BLOCK = 8  # cells: resolution of the border of the reference picture
 LEAST_SIDE = 16  # cells across a coarse level, at least: aggregation finds no surface on fewer
 OUTSIDE = 0.5  # percent of the heights found, at either end, that do not widen the search
 CLOSE = 0.2  # share of the height of the lowest view above the lowest height searched, not swept
 MARGIN_SHARE, MARGIN_PLANES = 0.2, 5  # margin about the heights found: share of their span, and coarse planes
-ABOUT, LEAST_ABOUT, MARGIN_ABOUT = 16, 50, 1.0  # cells about an unseen region; least heights there; margin, metres
+ABOUT, MARGIN_ABOUT = 16, 1.0  # cells about an unseen region; margin, metres
+ENOUGH = 40  # least number of points or cells to estimate a height
 
 
 class Reach(NamedTuple):
@@ -113,7 +113,7 @@ def register(prepared: list[Prepared], grid: Grid, ground: float, searched: Span
     pictures = np.empty((len(prepared), *wide.shape), np.float32)
     for i, p in enumerate(prepared):
         sample(p.norm, *maps(p, *wide.xy(), level), out=pictures[i], how=cv2.INTER_CUBIC)
-    sees = np.isfinite(pictures[:, ::SEEN_BLOCK, ::SEEN_BLOCK]).any(axis=(1, 2))
+    sees = np.isfinite(pictures[:, ::BLOCK, ::BLOCK]).any(axis=(1, 2))
     inner = pictures[reference, pad : pad + grid.rows, pad : pad + grid.cols]
     return Registered(wide, ground, pictures[sees], centres[sees], np.ascontiguousarray(inner))
 
@@ -127,10 +127,10 @@ def ray_lattice(grid: Grid, ground: float, searched: Span, reference: Prepared) 
     north = (about[1] + np.multiply.outer(share, y - about[1])).ravel()
     (top, bottom), (left, right) = ((math.floor(i.min()), math.ceil(i.max()) + 1) for i in grid.index(east, north))
     wide = grid.window(top, left, bottom - top, right - left)
-    seen = np.full(wide.coarser(SEEN_BLOCK).shape, ground, np.float32)
-    rows, cols = box_of(maps(reference, *wide.coarser(SEEN_BLOCK).xy(), seen)[0] >= 0)
-    top, left = max(rows.start - 1, 0) * SEEN_BLOCK, max(cols.start - 1, 0) * SEEN_BLOCK
-    bottom, right = min((rows.stop + 1) * SEEN_BLOCK, wide.rows), min((cols.stop + 1) * SEEN_BLOCK, wide.cols)
+    seen = np.full(wide.coarser(BLOCK).shape, ground, np.float32)
+    rows, cols = box_of(maps(reference, *wide.coarser(BLOCK).xy(), seen)[0] >= 0)
+    top, left = max(rows.start - 1, 0) * BLOCK, max(cols.start - 1, 0) * BLOCK
+    bottom, right = min((rows.stop + 1) * BLOCK, wide.rows), min((cols.stop + 1) * BLOCK, wide.cols)
     return wide.window(top, left, max(bottom - top, 1), max(right - left, 1))
 
 
@@ -169,7 +169,7 @@ def sweep_unseen(
             heights = searched
             if known is not None:
                 near = known[tuple(slice(max(s.start - ABOUT, 0), s.stop + ABOUT) for s in where)]
-                heights = narrowed(near, searched, MARGIN_ABOUT, LEAST_ABOUT)
+                heights = narrowed(near, searched, MARGIN_ABOUT, ENOUGH)
             found = sweep(pyramid, part, heights, ground, reference, tuning)
             take = left[where] & np.isfinite(found.height)
             for whole, new in zip(out, found, strict=True):
@@ -190,15 +190,15 @@ def narrowed(found: F32, searched: Span, margin: float, least: int = 1) -> Span:
 
 def regions(wanted: Mask, least_share: float) -> list[Box]:
     """Return rectangles (rows, columns) around connected blocks in which a share above `least_share` is `wanted`."""
-    shape = tuple(-(-n // SEEN_BLOCK) for n in wanted.shape)
-    whole = np.zeros((shape[0] * SEEN_BLOCK, shape[1] * SEEN_BLOCK), np.float32)
+    shape = tuple(-(-n // BLOCK) for n in wanted.shape)
+    whole = np.zeros((shape[0] * BLOCK, shape[1] * BLOCK), np.float32)
     whole[: wanted.shape[0], : wanted.shape[1]] = wanted
     share = cv2.resize(whole, shape[::-1], interpolation=cv2.INTER_AREA)
     count, labels = cv2.connectedComponents((share > least_share).astype(np.uint8), connectivity=4)
     boxes = [box_of(labels == k) for k in range(1, count)]
     return [
-        (slice(r.start * SEEN_BLOCK, min(r.stop * SEEN_BLOCK, wanted.shape[0])),
-         slice(c.start * SEEN_BLOCK, min(c.stop * SEEN_BLOCK, wanted.shape[1])))
+        (slice(r.start * BLOCK, min(r.stop * BLOCK, wanted.shape[0])),
+         slice(c.start * BLOCK, min(c.stop * BLOCK, wanted.shape[1])))
         for r, c in boxes
     ]  # fmt: skip
 
@@ -211,7 +211,7 @@ def best_reference(
     The cells are assumed to lie at the height `ground`. Steep views are preferred; views with an index in `but` are
     left out.
     """
-    wide = grid.coarser(SEEN_BLOCK)
+    wide = grid.coarser(BLOCK)
     share = cv2.resize(wanted.astype(np.float32), wide.shape[::-1], interpolation=cv2.INTER_AREA)
     level = np.full(wide.shape, ground, np.float32)
     x, y = np.meshgrid(*wide.xy())

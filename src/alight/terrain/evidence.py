@@ -13,7 +13,7 @@ from itertools import chain, pairwise
 import numpy as np
 
 from alight.arrays import F32
-from alight.learned.terms import FRAME_TERMS, RELATIVE, PictureTerm, SurfaceTerm, band
+from alight.learned.terms import BAND_LIMITS, FRAME_TERMS, RELATIVE, PictureTerm, SurfaceTerm, band
 from alight.raster import (
     block_light,
     block_mean,
@@ -39,7 +39,6 @@ OF_MATCHING = frozenset(  # unknown for surveyed heights
     (SurfaceTerm.RESIDUAL, SurfaceTerm.RESIDUAL_2M, SurfaceTerm.SIGMA, SurfaceTerm.MOVING, SurfaceTerm.MOVING_2M,
      SurfaceTerm.UNSURE, SurfaceTerm.REFUSED_2M, SurfaceTerm.TEXTURELESS, SurfaceTerm.SATURATED)
 )  # fmt: skip
-WIDTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # metres, 1-sigma: limits of the bands of log brightness
 
 
 def plants(colours: Appearance, shape: Relief, moving: F32) -> F32:
@@ -71,7 +70,7 @@ def _strength(power: F32, cell: float, metres: float = NEAR) -> F32:
 def _picture_terms(elevation: ElevationMap) -> Terms:
     """Yield the identifier and the values of each feature of the finest picture's detail (T1b)."""
     rgb, factor = elevation.finest
-    cell, halves = elevation.grid.cell, elevation.pixels_a_cell(WIDTHS[0])
+    cell, halves = elevation.grid.cell, elevation.pixels_a_cell(BAND_LIMITS[0])
     light, share, within = block_light(rgb, factor // halves, within=True)
     yield PictureTerm.BELOW, _strength(block_mean(within, halves), cell)  # detail finer than all bands
     pixel = cell / halves
@@ -81,7 +80,7 @@ def _picture_terms(elevation: ElevationMap) -> Terms:
     reach = max(1, round(NEAR / cell))
     yield PictureTerm.DARK, local_max(-spot, reach)
     yield PictureTerm.BRIGHT, local_max(spot, reach)
-    smooth = (gaussian_mean(light, s / pixel) if s / pixel > 0.3 else light for s in WIDTHS)
+    smooth = (gaussian_mean(light, s / pixel) if s / pixel > 0.3 else light for s in BAND_LIMITS)
     for k, (one, wider) in enumerate(pairwise(smooth)):
         yield band(k), _strength(block_mean((one - wider) ** 2, halves), cell)
     coarse = block_mean(light, halves)

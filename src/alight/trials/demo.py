@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 
 from alight.outputs import prepare_folder
@@ -18,10 +19,6 @@ from alight_sim.steered import SteeredFlight
 from alight_sim.steered.touchdown import judge_flight
 
 START = (-4.0, -12.0, 30.0)  # metres east, north, and above the ground
-SHARE = {  # share of a landing that is done in each state, about
-    FlightState.SEARCH: 0.05, FlightState.APPROACH: 0.2, FlightState.LOOK: 0.5, FlightState.DESCEND: 0.6,
-    FlightState.COMMIT: 0.8,
-}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +57,11 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, progress
     prepare_folder(out, overwrite)
     lander = OracleLander.of(settings.lander.model_dump())
     vehicle = SteeredFlight("demo", seed, start=START, radius=lander.reach)
-    done = [0.0]
+    done, states = [0.0], list(takewhile(lambda state: state is not FlightState.LANDED, FlightState))
 
     def happening(trial: Trial) -> None:
-        done[0] = max(done[0], SHARE.get(trial.state, 0.0))
+        if trial.state in states:
+            done[0] = max(done[0], states.index(trial.state) / len(states))
         progress(trial.state.value, done[0])
 
     flown = fly_landing(vehicle, settings, appearance_of(settings), happening, map_all=True)

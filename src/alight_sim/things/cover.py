@@ -14,6 +14,7 @@ from scipy.special import ndtr, ndtri
 from alight.arrays import F64, Mask
 from alight.records import Terrain
 from alight_sim.looks import Look
+from alight_sim.materials import table
 from alight_sim.relief import noise
 from alight_sim.section import Side
 from alight_sim.things.base import (
@@ -143,14 +144,7 @@ class Crop(Layer):
     tint: Tint = Field(UNTINTED, description="factor on the plants' reflectance: a number or [red, green, blue]")
 
 
-CROPS = (
-    Crop(kind="bare", spacing=0.9, width=1.0, ridge=0.18, look=Look.SOIL, soil_look=Look.SOIL),  # ploughed
-    Crop(kind="short_grass", soil="short_grass", spacing=6.0, look=Look.LAWN),  # mown in strips
-    Crop(kind="tall_vegetation", height=0.8, spacing=0.3, width=1.0, look=Look.CROP, tint=(1.6, 1.3, 0.9)),  # wheat
-    Crop(kind="tall_vegetation", height=1.9, width=0.6, look=Look.CROP),  # maize
-    Crop(kind="bare", spacing=0.3, ridge=0.05, look=Look.STUBBLE, soil_look=Look.SOIL),
-    Crop(kind="tall_vegetation", height=0.45, width=0.7, ridge=0.2, look=Look.CROP, soil_look=Look.SOIL),  # potatoes
-)
+CROPS = tuple(Crop(**crop) for crop in table("crops"))
 
 
 class Fields(Layer):

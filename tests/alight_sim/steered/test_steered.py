@@ -5,12 +5,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from quiet_imaging import QUIET
 
 from alight.geometry import Grid, so3_exp, so3_log
 from alight.records import Frame, ImuSample, InputError, NavSample
 from alight_sim import Imaging, ImuErrors, NavErrors, Scene, build, world_of
 from alight_sim.autopilot import SimulatedAutopilot
-from alight_sim.exposure import QUIET
 from alight_sim.movers import Traffic
 from alight_sim.oracle import OracleLander, judge_touchdown
 from alight_sim.scene import SceneGround

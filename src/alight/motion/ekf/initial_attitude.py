@@ -14,11 +14,10 @@ from alight.records import NavSample, Tracks
 from alight.settings import FilterSettings
 
 _MIN_GPS_BASELINE = 0.5  # m, least distance of two GPS positions whose direction is used
-MIN_SHARED = 20  # least features that two exposures share; else the later one is the first of the next pair
+MIN_SHARED = 12  # least features that two exposures share; else the later one is the first of the next pair
 _TILT_SIGMA = 0.1  # rad; the camera is assumed to look down
 _MIN_HEADING_SIGMA = 0.05  # rad
 MAX_START_SIGMA = 1.0 / 3.0  # rad, largest sigma of an initial heading: path and shift are three sigmas long
-_MIN_FEATURES = 12
 _INLIER = 0.01  # normalised coordinates; features with a larger residual are off the ground plane, or wrong
 
 
@@ -76,7 +75,7 @@ def attitude_from_course(
     _, i, j = np.intersect1d(before.ids, now.ids, return_indices=True)
     a, b = (_complex(t.normalised[k, 0]) for t, k in ((before, i), (now, j)))
     both = np.isfinite(a) & np.isfinite(b)
-    if way < _MIN_GPS_BASELINE or both.sum() < _MIN_FEATURES:
+    if way < _MIN_GPS_BASELINE or both.sum() < MIN_SHARED:
         return None
     shift = _robust_shift(a[both], b[both])
     if shift is None:
@@ -112,7 +111,7 @@ def _robust_shift(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> _Shif
     J = np.array([x_row, y_row]).transpose(2, 0, 1)  # (N, 2, 6) by the real and imaginary parts of c, t and h
     x, rows = np.zeros(6), J[:0].reshape(0, 6)
     for _ in range(6):
-        if used.sum() < _MIN_FEATURES:
+        if used.sum() < MIN_SHARED:
             return None
         rows, seen = J[used].reshape(-1, 6), np.column_stack([b[used].real, b[used].imag]).ravel()
         x, _, rank, _ = np.linalg.lstsq(rows, seen)

@@ -41,9 +41,9 @@ class CoreLayout(NamedTuple):
 
 AT = CoreLayout()
 CORE: int = AT.time.stop
-CLONE = 6  # errors of a clone: (rotation, position)
 LANDMARK = 3
 POSITION_FIRST = np.r_[AT.pos, AT.att]  # takes (rotation, position) of a pose to (position, rotation)
+CLONE = len(POSITION_FIRST)  # errors of a clone: (rotation, position)
 _UNMODELLED = (1.0, 2.0)  # rad/s^2, m/s^2: accelerations that M27 leaves out
 
 

@@ -12,7 +12,7 @@ from alight.geometry import Grid
 from alight.parallax.views import ground_sampling
 from alight.parallax.wires.residuals import plane_views
 from alight.parallax.wires.segments import LineSums, Pieces
-from alight.parallax.wires.strands import LIKELY, STEEPEST, Strand, strands
+from alight.parallax.wires.strands import STEEPEST, Strand, strands
 from alight.raster import nearest_known
 from alight.records import ElevationMap, Flag, View
 from alight.records.wires import Wire
@@ -20,10 +20,10 @@ from alight.records.wires import Wire
 MOST_VIEWS = 16
 SHOWN_BY = 3  # every so many views give lines that the others confirm
 PIXELS = 2.6  # of the views across a cell, at least: thinner than that, wires are as clear and cost more
-LOWEST, HIGHEST = 2.5, 32.0  # metres above the ground, of what is looked for
+LOWEST = 2.5  # metres above the ground, of what is looked for
 HIGH = 3.0  # metres above the ground, of what is called a wire: lower lines are fences and rims of hedges
 PIECES = 2.0  # of a strand's evidence, for the logarithm of the number of its pieces
-EVENS, ODDS = 16.0, 1.0  # evidence of which half are wires, and by which the odds grow e-fold: on drawn flights
+EVENS = 16.0  # evidence of which half are wires: on drawn flights
 LEAST_CHANCE = 0.25  # that a strand is a wire, below which it is left out
 
 
@@ -50,7 +50,7 @@ def ground_of(elevation: ElevationMap, views: Sequence[View]) -> tuple[Grid, F32
 
 def all_segments(sums: LineSums) -> Pieces | None:
     """Return the pieces that any view shows and others confirm; None: there are none."""
-    parts = [sums.segments(k, LOWEST, HIGHEST, LIKELY) for k in range(0, len(sums.views), SHOWN_BY)]
+    parts = [sums.segments(k, LOWEST) for k in range(0, len(sums.views), SHOWN_BY)]
     return Pieces.joined(parts) if parts else None
 
 
@@ -59,7 +59,7 @@ def _chance(one: Strand, s: Pieces, sums: LineSums) -> float:
     if one.height < HIGH or abs(one.slope) > STEEPEST:
         return 0.0
     evidence = one.evidence(s, sums) + PIECES * math.log(one.members.sum())
-    return 1 / (1 + math.exp(min((EVENS - evidence) / ODDS, 50.0)))
+    return 1 / (1 + math.exp(min(EVENS - evidence, 50.0)))
 
 
 def find_wires(views: Sequence[View], elevation: ElevationMap) -> tuple[Wire, ...]:

@@ -29,15 +29,15 @@ from alight.parallax.views import (
     rolling_of,
     sample,
 )
+from alight.parallax.wires.line_kernels import BLOCK, REACH
 from alight.raster import difference_of_gaussians, grey_levels, log_levels
 from alight.records import View
 
 BAND = 0.8, 2.6  # cells, 1-sigma of the two Gaussians whose difference keeps what is as thin as a wire
-LEAST_SIDE = 64  # cells, of the part of the ground that a view shows
+LONG = BLOCK * (2 * REACH + 1)  # cells, length of a line along its nearer axis; a view that shows less is left out
 COMMON = 1.5  # mean deviations from the common picture at which a view is clipped, so that a wire leaves no ghost in it
-CLIP = 3.0  # sigmas at which the difference of one cell is clipped: one stone is no line
-SLIDES = 15  # cells, window that slides as one
-NEARBY = 15  # cells, window of the noise
+CLIP = 3.0  # sigmas, the most that one cell counts in a line, and one view for a line: one stone is no line
+WINDOW = 15  # cells that slide as one, and over which the noise is averaged
 QUIET = 0.5  # of the median noise, the least noise that is assumed
 
 
@@ -55,7 +55,7 @@ def _band(view: View, cell: float, ground: float) -> Prepared:
     """Return the view's log brightness, with what is about as thin as a cell only, on pixels of up to two a cell."""
     light, camera = log_levels(grey_levels(view.image)), view.camera
     ratio = cell / ground_sampling(view, ground)
-    while ratio >= 1.9 and min(light.shape) > 2 * LEAST_SIDE:
+    while ratio >= 1.9 and min(light.shape) > 2 * LONG:
         light, camera = halved(light, camera)
         ratio /= 2
     thin = difference_of_gaussians(light, *(s * max(ratio, 0.5) for s in BAND))
@@ -93,7 +93,7 @@ def plane_views(views: Sequence[View], grid: Grid, height: F32, seen: Mask, plan
         p = _band(view, grid.cell, plane)
         box = _seen(view, p.camera, grid, plane)
         part = grid.part(box)
-        if min(part.shape) < LEAST_SIDE:
+        if min(part.shape) < LONG:
             continue
         light = sample(p.grey, *maps(p, *part.xy(), np.ascontiguousarray(height[box]), held))
         known = (np.isfinite(light) & seen[box]).astype(np.float32)
@@ -144,7 +144,7 @@ def _less_slides(differences: Sequence[F32], ground: Sequence[_OnGround], mean: 
     differs. A slide by (a, b) cells adds `a dm/dx + b dm/dy`, which is fitted by least squares. No slide of the ground
     makes a wire.
     """
-    size = (SLIDES, SLIDES)
+    size = (WINDOW, WINDOW)
     dx, dy = (cv2.Sobel(mean, -1, *d, ksize=1, scale=0.5) for d in ((1, 0), (0, 1)))
     xx, xy, yy = (cv2.boxFilter(v, -1, size) for v in (dx * dx, dx * dy, dy * dy))
     least = 0.1 * float(np.mean(xx + yy)) + 1e-12
@@ -170,7 +170,7 @@ def _noise(differences: Sequence[F32], ground: Sequence[_OnGround], count: F32) 
 
 def _smooth(total: F32, count: F32) -> F32:
     """Return the mean of a total over `count` views about each cell, at least `QUIET` of its median; (R, C)."""
-    size = (NEARBY, NEARBY)
+    size = (WINDOW, WINDOW)
     out = cv2.boxFilter(total, -1, size) / np.maximum(cv2.boxFilter(count, -1, size), 1e-3)
     known = out[count > 0]
     least = QUIET * float(np.median(known)) if known.size else 0.0

@@ -12,18 +12,14 @@ import cv2
 import numpy as np
 
 from alight.arrays import F32, F64, I64, U8, Mask
-from alight.parallax.wires.line_kernels import BLOCK, REACH, pick_lines, raise_lines, sum_lines
-from alight.parallax.wires.residuals import PlaneView
+from alight.parallax.wires.line_kernels import BLOCK, pick_lines, raise_lines, sum_lines
+from alight.parallax.wires.residuals import CLIP, LONG, PlaneView
 
-DIRECTIONS = 40
-SLOPES = np.linspace(-1.0, 1.0, DIRECTIONS // 2, endpoint=False) + 2.0 / DIRECTIONS  # cells down per cell along
-LONG = BLOCK * (2 * REACH + 1)  # length of a line along its nearer axis, cells
+SLOPES = np.linspace(-1.0, 1.0, LONG // 2, endpoint=False) + 2.0 / LONG  # cells down per cell along: `LONG` directions
 TALL = 16  # cells across a line, of which only the strongest line of a view is used
-LEAST = 3.5  # least sum, in units of noise, of a line in one view that is searched in the other views
+LEAST = 3.5  # least sum of a line in units of noise: in the view that shows it, and of the other views over their root
 MOST = 150  # largest number of lines per view
-STILL = 2.0  # cells: see `raise_lines`
-CLEAR = 100.0  # sum, in units of noise, that is assumed for a line that is followed
-CAP = 3.0  # in units of the noise of the sums: see `raise_lines`
+STILL = 2.0  # cells of parallax by which a line and the ground are not told apart: see `raise_lines`
 FEWEST = 3  # least number of other views that confirm a line
 ABOUT = np.linspace(-3.0, 3.0, 7)  # cells of parallax above and below a position at which a line is searched
 BESIDE = np.linspace(-3.0, 3.0, 5)  # cells beside the position at which a line is searched
@@ -61,7 +57,7 @@ class Nearby(NamedTuple):
     score: float
     height: float  # metres above the plane
     views: int  # number of other views that show the line
-    strength: float  # score if each view's sum is limited to the line's own sum instead of `CAP`
+    strength: float  # score if each view's sum is limited to the line's own sum instead of `CLIP`
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,11 +107,8 @@ class LineSums:
     def _centres(self) -> F64:
         return np.array([v.above for v in self.views])
 
-    def segments(self, own: int, lowest: float, highest: float, least: float) -> Pieces:
-        """Return the lines of view `own` that other views confirm, from `lowest` to `highest` metres above the plane.
-
-        `least`: smallest score of the returned lines.
-        """
+    def segments(self, own: int, lowest: float) -> Pieces:
+        """Return the lines of view `own` that other views confirm, from `lowest` metres above the plane."""
         family, d, block, row = self._lines(own)
         strength = self.sums[own, family, d, block, row]
         grid, slope = self.views[own].grid, SLOPES[d]
@@ -125,7 +118,7 @@ class LineSums:
         along = np.column_stack([np.where(level, 1.0, slope), np.where(level, -slope, -1.0)])
         lengths = np.hypot(1.0, slope)
         lines = np.column_stack([shown, family, d, strength]).astype(np.float64)
-        found = self._raised(lines, own, self._heights(own, lowest, highest)[None], FEWEST)
+        found = self._raised(lines, own, self._heights(own, lowest)[None], FEWEST)
         share = 1.0 - found[:, 1] / self.views[own].above[2]
         middle_m = self.views[own].above[:2] + (shown - self.views[own].above[:2]) * share[:, None]
         out = Pieces(
@@ -133,7 +126,7 @@ class LineSums:
             0.5 * LONG * grid.cell * lengths * share, shown, np.sign(strength),
             self._vague(own, along / lengths[:, None], found[:, 1]),
         )  # fmt: skip
-        return out.of(found[:, 0] >= least)
+        return out.of(found[:, 0] >= LEAST)
 
     def _vague(self, own: int, along: F64, height: F64) -> F64:
         """Return the height differences (K,), metres, that move lines by one cell across in the most sensitive view.
@@ -164,7 +157,7 @@ class LineSums:
         shown = above[:2] + (places - above[:2]) * lowered[:, None]
         beside = BESIDE[:, None] * cell * np.array([-along[1], along[0]])
         shown = (shown[:, None] + beside).reshape(-1, 2)
-        lines = np.column_stack([shown, np.tile([0.0 if level else 1.0, d, CLEAR * sign], (len(shown), 1))])
+        lines = np.column_stack([shown, np.tile([0.0 if level else 1.0, d, np.inf * sign], (len(shown), 1))])
         found = self._raised(lines, own, np.repeat(around, len(beside), axis=0), FEWEST - 1)
         found = found.reshape(len(places), len(beside), 4)
         best = found[np.arange(len(places)), np.argmax(found[:, :, 3], axis=1)]
@@ -175,7 +168,18 @@ class LineSums:
         out = np.zeros((len(lines), 4))
         if heights.size:
             raise_lines(
-                lines, own, heights, self._centres, self._grids, self._known, self.sums, SLOPES, STILL, CAP, fewest, out
+                lines,
+                own,
+                heights,
+                self._centres,
+                self._grids,
+                self._known,
+                self.sums,
+                SLOPES,
+                STILL,
+                CLIP,
+                fewest,
+                out,
             )
         return out
 
@@ -189,7 +193,7 @@ class LineSums:
         best = np.argsort(-strength, kind="stable")[:MOST]
         return family[best], d[best], block[best], row[best]
 
-    def _heights(self, own: int, lowest: float, highest: float) -> F64:
+    def _heights(self, own: int, lowest: float) -> F64:
         """Return the heights (T,), metres above the plane, at which lines are searched.
 
         From one height to the next, a line moves by `STEP` cells in the farthest view that shows it. For a camera at
@@ -198,7 +202,7 @@ class LineSums:
         baseline is shorter than that, and `1 + m` by equal factors beyond.
         """
         up, grid = self._centres[own, 2], self.views[own].grid
-        highest = min(highest, up - 1.5)
+        highest = up - 1.5
         base = float(np.hypot(*(self._centres - self._centres[own]).T[:2]).max())
         if highest <= lowest or base <= 0:
             return np.zeros(0)

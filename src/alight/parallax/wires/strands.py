@@ -8,28 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from alight.arrays import F64, I64, Mask
-from alight.parallax.wires.residuals import PlaneView
-from alight.parallax.wires.segments import FEWEST, LONG, LineSums, Nearby, Pieces
+from alight.parallax.wires.line_kernels import BLOCK
+from alight.parallax.wires.residuals import LONG, PlaneView
+from alight.parallax.wires.segments import FEWEST, LEAST, STILL, LineSums, Nearby, Pieces
 
 SURE = 5.0  # score of the best piece of a wire
-LIKELY = 3.5  # score of its other pieces
-ROUNDS = 12  # in which a wire grows
 BESIDE = 0.35, 2.0  # metres, and cells, between a piece and the wire that it belongs to
 ASTRAY = 0.16  # rad between them
-GAP = 8.0  # metres along the wire between its pieces
-HIGHER = 1.0, 0.05  # metres, and share of the height, between a piece and its wire
-VAGUE, ASIDE = 2.0, 0.2  # cells of which height and place of a piece are unsure; metres aside for a metre of height
+GAP = 8.0  # metres along the wire between its pieces, or over which no view shows it
+HIGHER = 1.0  # metres of height between a piece and its wire
+ASIDE = 0.2  # metres by which a piece is unsure aside for each metre by which its height is
 SLOPE = 0.06  # 1-sigma of the rise of a wire over its length
-LEAST_VAGUE = 0.2  # metres, of the height of a piece
 STEEPEST = 0.2  # rise of a wire over its length; steeper lines are posts and rims of crowns
 COVERS = 4.0  # cells beside its image in a view that a wire explains
-RIM = 0.02  # share of the pieces that may lie beyond where following a strand begins
-FADED = 0.3  # of its usual strength, that shows the end of a wire
-FOLLOWED = 2.5  # score up to which a wire is followed beyond its pieces
-STRIDE = 0.25  # of the length of a piece, from one place to the next when it is followed
-FARTHEST = 30.0  # metres that it is followed
-UNSEEN = 0.5, 8.0  # of its length, and metres, that it is continued over what no view shows, at most
-CROSSES = 0.4  # sine of the angle up to which lines across that image are explained as well
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +54,9 @@ class Strand:
     def gathers(self, s: Pieces, cell: float) -> Mask:
         """Return the mask of the pieces (K,) that continue the strand."""
         a, b = self._at(s.place)
-        vague = VAGUE * s.vague
+        vague = STILL * s.vague
         out = (np.abs(b) < BESIDE[0] + BESIDE[1] * cell + ASIDE * vague) & (np.abs(s.along @ self.across) < ASTRAY)
-        out &= np.abs(s.height - self.height - self.slope * a) < HIGHER[0] + HIGHER[1] * self.height + vague
+        out &= np.abs(s.height - self.height - self.slope * a) < HIGHER + vague
         return np.asarray(out & (a > self.low - GAP) & (a < self.high + GAP))
 
     def fitted(self, s: Pieces, members: Mask) -> Strand:
@@ -77,7 +68,7 @@ class Strand:
             return out
         lever = np.column_stack([np.ones_like(a), a])
         aside, turn = np.linalg.lstsq(lever * own.score[:, None], b * own.score, rcond=None)[0]
-        sigma = np.maximum(own.vague, LEAST_VAGUE) * np.sqrt(len(a))  # pieces of one wire are not independent
+        sigma = own.vague * np.sqrt(len(a))  # pieces of one wire are not independent
         prior = np.append(0.0, 1 / SLOPE)
         height, slope = np.linalg.lstsq(
             np.vstack([lever / sigma[:, None], prior]), np.append(own.height / sigma, 0.0), rcond=None
@@ -119,30 +110,28 @@ class Strand:
         return float(np.sum(scores) / np.sqrt(len(scores)))
 
     def followed(self, s: Pieces, sums: LineSums) -> Strand:
-        """Return the strand from end to end: to where it is half as strong, over what too few views show."""
+        """Return the strand from end to end: to where no line is left, over what too few views show."""
         own, sign = _most_common(s.own[self.members]), self._sign(s)
-        stride = STRIDE * LONG * sums.views[0].grid.cell
-        least = max(FADED * float(np.median([n.strength for n in self.shown(s, sums)])), FOLLOWED)
+        stride = BLOCK * sums.views[0].grid.cell
         middles = self._at(s.place[self.members])[0]
         ends = []
-        for way, at in ((-1.0, float(np.quantile(middles, RIM))), (1.0, float(np.quantile(middles, 1 - RIM)))):
-            height, gone, unseen = self.height + self.slope * at, 0.0, 0.0
-            while gone < FARTHEST:
+        for way, at in ((-1.0, float(middles.min())), (1.0, float(middles.max()))):
+            height, unseen = self.height + self.slope * at, 0.0
+            while True:
                 place = self.place + (at + way * stride) * self.along
                 (n,) = sums.around(own, place[None], self.along, sign, np.array([height]))
-                if n.strength >= least:
+                if n.strength >= LEAST:
                     height, unseen = n.height, 0.0
-                elif n.views >= FEWEST - 1 or unseen >= min(UNSEEN[0] * (self.high - self.low), UNSEEN[1]):
+                elif n.views >= FEWEST - 1 or unseen >= GAP:
                     break
                 else:
                     unseen += stride
                 at += way * stride
-                gone += stride
             ends.append(at)
         return replace(self, low=ends[0], high=ends[1])
 
     def explains(self, s: Pieces, views: Sequence[PlaneView]) -> Mask:
-        """Return the mask of the pieces (K,) that lie on or across its image in their own views."""
+        """Return the mask of the pieces (K,) that lie on its image in their own views."""
         centres = np.array([v.above for v in views])[:, None]
         cells, ends = np.array([v.grid.cell for v in views])[s.own], self.ends(3.0)
         far = centres[..., 2:] / np.maximum(centres[..., 2:] - ends[:, 2:], 0.2)
@@ -152,10 +141,8 @@ class Strand:
         way = way / np.maximum(length, 1e-9)[:, None]
         away = s.shown - begin
         along, aside = (away * way).sum(axis=1), np.abs(away[:, 1] * way[:, 0] - away[:, 0] * way[:, 1])
-        crossing = np.abs(s.along[:, 0] * way[:, 1] - s.along[:, 1] * way[:, 0])
         half = 0.5 * LONG * cells
-        beside = (aside < COVERS * cells) | ((aside < half * crossing + COVERS * cells) & (crossing < CROSSES))
-        return np.asarray(beside & (along > -half) & (along < length + half))
+        return np.asarray((aside < COVERS * cells) & (along > -half) & (along < length + half))
 
 
 def _most_common(numbers: I64) -> int:
@@ -170,19 +157,19 @@ def _support(s: Pieces, cell: float) -> F64:
     aside = away[..., 1] * along[:, None, 0] - away[..., 0] * along[:, None, 1]
     turned = along[:, None, 0] * along[None, :, 1] - along[:, None, 1] * along[None, :, 0]
     height = s.height.astype(np.float32)
-    vague = (VAGUE * s.vague).astype(np.float32)
+    vague = (STILL * s.vague).astype(np.float32)
     near = (
         (np.abs(aside) < BESIDE[0] + BESIDE[1] * cell + ASIDE * vague)
         & (np.abs(turned) < ASTRAY)
         & (np.abs(ahead) < GAP)
     )
-    near &= np.abs(height[None] - height[:, None]) < HIGHER[0] + HIGHER[1] * height + vague
+    near &= np.abs(height[None] - height[:, None]) < HIGHER + vague
     return np.asarray(near @ s.score)
 
 
 def strands(s: Pieces, views: Sequence[PlaneView], most: int = 40) -> list[Strand]:
     """Return up to `most` strands, the one with the best supported piece first."""
-    free, out = s.score >= LIKELY, list[Strand]()
+    free, out = s.score >= LEAST, list[Strand]()
     cell = views[0].grid.cell if views else 0.0
     support = _support(s, cell)
     while len(out) < most and free.any():
@@ -190,7 +177,7 @@ def strands(s: Pieces, views: Sequence[PlaneView], most: int = 40) -> list[Stran
         if not free[k] or s.score[k] < SURE:
             break
         one = Strand.of(s, k)
-        for _ in range(ROUNDS):
+        for _ in s.own:
             members = free & one.gathers(s, cell)
             members[k] = True
             if np.array_equal(members, one.members):

@@ -19,11 +19,11 @@ from alight.photos.bundle.solver import Priors
 from alight.records import NavSample, Rig
 from alight.settings import BundleSettings
 
-_SIGMA_LENS = {  # 1-sigma of scale, aspect, cu, cv, distortion; for the focal length see docs/method/bundle.md
-    "radial-tangential": (0.0, 0.0, 10.0, 10.0, 0.05, 0.1, 0.002, 0.002, 0.2),
-    "equidistant": (0.0, 0.0, 10.0, 10.0) + (0.02,) * 4,
+_SIGMA_LENS = {  # 1-sigma of scale, if the focal length is free, aspect, cu, cv, distortion: see docs/method/bundle.md
+    "none": (0.02, 0.0, 10.0, 10.0),
+    "radial-tangential": (0.02, 0.0, 10.0, 10.0, 0.05, 0.1, 0.002, 0.002, 0.2),
+    "equidistant": (0.02, 0.0, 10.0, 10.0) + (0.02,) * 4,
 }
-_SIGMA_FOCAL = 0.02  # relative 1-sigma of a free focal length
 _SIGMA_RATE = 0.2  # rad/s, 1-sigma of the rotation of a camera without a gimbal
 _SIGMA_READOUT = 0.05  # s, 1-sigma; cheap cameras take 20 to 160 ms, which is 0.2 to 2 m of flight
 COMMON_HEADING = 0.5  # rad, 1-sigma of the common error of all headings; some compasses are off by 0.9 rad
@@ -73,10 +73,10 @@ def _lens(camera: Camera, settings: BundleSettings) -> tuple[Camera, F64]:
     """Return the initial camera and the sigmas of its parameters; a free lens without distortion model gets a model."""
     if settings.lens == "free" and camera.model == "none":
         camera = replace(camera, model="radial-tangential", distortion=(0.0,) * 4)
-    sigma = np.zeros(5 + len(camera.distortion))
+    sigma, free = np.zeros(5 + len(camera.distortion)), _SIGMA_LENS[camera.model]
     if settings.lens == "free":
-        sigma[:-1] = _SIGMA_LENS[camera.model][: len(sigma) - 1]
-    sigma[0] = _SIGMA_FOCAL if settings.focal == "free" else 0.0
+        sigma[:-1] = free[: len(sigma) - 1]
+    sigma[0] = free[0] if settings.focal == "free" else 0.0
     return camera, sigma
 
 

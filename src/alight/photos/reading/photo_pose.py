@@ -18,11 +18,13 @@ from alight.records import NavSample
 BODY_FROM_CAM = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
 CRAFT_FROM_NADIR = enu_from_flu(0, 0, 0).T @ enu_from_flu(0, -math.pi / 2, 0)  # a camera fixed to look down
 
-GPS_SIGMA = np.array([3.0, 3.0, 5.0])  # m, a consumer receiver
-LEAST_SIGMA = {  # m, lower limit of the sigma that a receiver gives
-    k: np.array(v) for k, v in {"RTK fixed": [0.01] * 3, "RTK float": [0.5] * 3, "others": [0.02, 0.02, 0.03]}.items()
-}
-ATTITUDE_SIGMA = {"gimbal": np.array([0.02, 0.02, 0.1]), "flight": np.array([0.05, 0.05, 0.1])}  # rad, roll pitch yaw
+SIGMAS = {  # m, east north up: of a consumer receiver, and least ones that a receiver gives; rad: of roll pitch yaw
+    "consumer": np.array([3.0, 3.0, 5.0]), "RTK fixed": np.full(3, 0.01), "RTK float": np.full(3, 0.5),
+    "others": np.array([0.02, 0.02, 0.03]), "gimbal": np.array([0.02, 0.02, 0.1]),
+    "flight": np.array([0.05, 0.05, 0.1]),
+}  # fmt: skip
+GPS_SIGMA = SIGMAS["consumer"]
+RTK_FIXES = ("RTK fixed", "RTK float")
 GIMBALS = (
     "dji:Gimbal{}Degree", "parrot:Camera{}Degree", "autel:Gimbal{}Degree", "skydio:CameraOrientationNED{}",
     "yuneec:Gimbal{}", "Camera{}",  # the last pattern is of Yuneec's CGO3+
@@ -112,14 +114,14 @@ def position_sigma(tags: PhotoTags) -> F64:
     if tags.settled is not None and tags.settled.sigma is not None:
         return np.where(np.isfinite(tags.settled.sigma), tags.settled.sigma, GPS_SIGMA)
     own = [tags.xmp_number(f"dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
-    if (fix := rtk_fix(tags)) in LEAST_SIGMA and all(s is not None and s > 0 for s in own):
-        return np.asarray(np.maximum(np.array(own, dtype=np.float64), LEAST_SIGMA[fix]))
+    if (fix := rtk_fix(tags)) in RTK_FIXES and all(s is not None and s > 0 for s in own):
+        return np.asarray(np.maximum(np.array(own, dtype=np.float64), SIGMAS[fix]))
     sigma = GPS_SIGMA.copy()
     for names in ACCURACIES:
         for name, axes in zip(names, (slice(0, 2), slice(2, 3)), strict=True):
             value = tags.xmp_number(name)
             if value is not None and value > 0:  # 0: unknown
-                sigma[axes] = np.maximum(value, LEAST_SIGMA["others"][axes])
+                sigma[axes] = np.maximum(value, SIGMAS["others"][axes])
     return sigma
 
 
@@ -156,7 +158,7 @@ def nav_sample(tags: PhotoTags, t_ns: int, local: LocalFrame) -> NavSample:
     """Return the position and attitude of one photo as a measurement; each is None if the tags do not give it."""
     place = tags.position
     world_from_body, source = photo_attitude(tags)
-    sigma = ATTITUDE_SIGMA["flight" if source == "flight" else "gimbal"]
+    sigma = SIGMAS["flight" if source == "flight" else "gimbal"]
     return NavSample(
         t_ns,
         None if place is None else local.to_enu(*place),

@@ -12,17 +12,18 @@ from typing import ClassVar
 import numpy as np
 
 from alight.arrays import F64
-from alight.elevation import TileStore, bytes_a_cell
+from alight.elevation.tiles import TileStore, bytes_a_cell
 from alight.geometry import Grid
 from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task
 from alight.parallax.batch import Images, MatchedBlock, match_tile
 from alight.parallax.datum import Matched, with_datum
+from alight.parallax.plane_sweep import ENOUGH
 from alight.parallax.sparse_points import NO_POINTS, height_range
 from alight.parallax.views import choose_views, ground_sampling, may_see
 from alight.pipeline.map_frame import in_world
 from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, map_at_end
 from alight.pipeline.mapping.ground_map import GroundMap, refuse_too_large
-from alight.pipeline.mapping.keyframes import ENOUGH, FrameStore, bounds, ground_in, is_keyframe, looking_down, views_of
+from alight.pipeline.mapping.keyframes import FrameStore, bounds, ground_in, is_keyframe, looking_down, views_of
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.timing import Progress, Timings
 from alight.records import (

@@ -10,11 +10,10 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Camera
+from alight.parallax.plane_sweep import ENOUGH
 from alight.parallax.views import STEEPEST, inside_picture, on_level, radius2_limit
 from alight.records import Frame, Motion, Rig, View
 from alight.settings import StageSettings
-
-ENOUGH = 40  # least number of points or cells to estimate a height
 
 
 def is_keyframe(

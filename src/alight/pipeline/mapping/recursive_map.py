@@ -10,7 +10,8 @@ from typing import ClassVar
 import numpy as np
 
 from alight.arrays import F64, U16, Mask
-from alight.elevation import TiledElevation, TileStore, bytes_a_cell, doublings_up_to
+from alight.elevation import TiledElevation, TileStore, doublings_up_to
+from alight.elevation.tiles import bytes_a_cell
 from alight.geometry import Box, Grid
 from alight.parallax.recursive import RecursiveParallax
 from alight.pipeline.map_frame import MapFrame, Tie
