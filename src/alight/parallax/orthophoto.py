@@ -45,7 +45,7 @@ def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> Box:
     reach = (np.array([[low], [high]]) - centre[2]) / rays[:, 2]
     places = centre[:2] + (reach[..., None] * rays[:, :2]).reshape(-1, 2)
     around = AROUND * np.ptp(places, axis=0) + grid.cell
-    return grid.box_about(np.array([places.min(axis=0) - around, places.max(axis=0) + around]))
+    return grid.box_about(np.concatenate([places - around, places + around]))
 
 
 def _block(

@@ -248,11 +248,8 @@ class WireMemory:
         for w in wires:
             same = [k for k in kept if k.wire.covers(w) or w.covers(k.wire)]
             kept = [k for k in kept if k not in same]
-            new.append(
-                RememberedWire(
-                    _longest([w, *(k.wire for k in same)]), t_ns, 1 + max((k.found for k in same), default=0)
-                )
-            )
+            longest, found = _longest([w, *(k.wire for k in same)]), max((k.found for k in same), default=0)
+            new.append(RememberedWire(longest, t_ns, found + 1))
         later = new + [k.looked_for(grid, height) for k in kept]
         return WireMemory(tuple(k for k in later if k.lasts(t_ns)), frozenset(v.t_ns for v in views))
 

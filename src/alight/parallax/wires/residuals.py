@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F32, F64, U8, Mask
-from alight.geometry import Box, Camera, Grid, ground_projection
+from alight.geometry import Box, Grid, ground_projection
 from alight.parallax.views import (
     Buffers,
     Prepared,
@@ -63,12 +63,6 @@ def _band(view: View, cell: float, ground: float) -> Prepared:
     return Prepared(thin, thin, camera, H, b, np.array(view.centre), radius2_limit(camera), ratio, rolling_of(view))
 
 
-def _seen(view: View, camera: Camera, grid: Grid, ground: float) -> Box:
-    """Return rows and columns of a grid at `ground` metres up that a view may see."""
-    rays = border_rays(camera) @ view.world_from_cam.rotation.T
-    return grid.box_about(on_level(rays, view.centre, ground))
-
-
 class _OnGround(NamedTuple):
     """A view on its part of the ground."""
 
@@ -91,7 +85,7 @@ def plane_views(views: Sequence[View], grid: Grid, height: F32, seen: Mask, plan
     held, ground = Buffers(), list[_OnGround]()
     for view in views:
         p = _band(view, grid.cell, plane)
-        box = _seen(view, p.camera, grid, plane)
+        box = grid.box_about(on_level(border_rays(p.camera) @ view.world_from_cam.rotation.T, view.centre, plane))
         part = grid.part(box)
         if min(part.shape) < LONG:
             continue
@@ -101,9 +95,8 @@ def plane_views(views: Sequence[View], grid: Grid, height: F32, seen: Mask, plan
     if len(ground) < 3:
         return []
     mean, count = _common(ground, grid)
-    differences = _less_slides(
-        [(g.light - mean[g.box]) * (g.known * (count[g.box] >= 3)) for g in ground], ground, mean
-    )
+    differences = [(g.light - mean[g.box]) * (g.known * (count[g.box] >= 3)) for g in ground]
+    differences = _less_slides(differences, ground, mean)
     noise = _noise(differences, ground, count)
     out = []
     for g, d in zip(ground, differences, strict=True):

@@ -93,13 +93,8 @@ class Strand:
         own, apart = _most_common(s.own[self.members]), 1.6 * float(np.median(s.half[self.members]))
         count = max(int((self.high - self.low) / apart), 1)
         at = 0.5 * (self.low + self.high) + apart * (np.arange(count) - 0.5 * (count - 1))
-        return sums.around(
-            own,
-            self.place + at[:, None] * self.along,
-            self.along,
-            self._sign(s),
-            np.asarray(self.height + self.slope * at),
-        )
+        places, heights = self.place + at[:, None] * self.along, np.asarray(self.height + self.slope * at)
+        return sums.around(own, places, self.along, self._sign(s), heights)
 
     def evidence(self, s: Pieces, sums: LineSums) -> float:
         """Return the sum of the scores along the strand over the root of their number: noise of one score.
@@ -158,11 +153,8 @@ def _support(s: Pieces, cell: float) -> F64:
     turned = along[:, None, 0] * along[None, :, 1] - along[:, None, 1] * along[None, :, 0]
     height = s.height.astype(np.float32)
     vague = (STILL * s.vague).astype(np.float32)
-    near = (
-        (np.abs(aside) < BESIDE[0] + BESIDE[1] * cell + ASIDE * vague)
-        & (np.abs(turned) < ASTRAY)
-        & (np.abs(ahead) < GAP)
-    )
+    near = (np.abs(aside) < BESIDE[0] + BESIDE[1] * cell + ASIDE * vague) & (np.abs(turned) < ASTRAY)
+    near &= np.abs(ahead) < GAP
     near &= np.abs(height[None] - height[:, None]) < HIGHER + vague
     return np.asarray(near @ s.score)
 
