@@ -78,6 +78,7 @@ class Situation:
     height: float | None = None  # metres, height above ground; None: unknown
     link: bool = True  # whether the autopilot sends reports
     pilot: bool = False  # whether someone else flies
+    contact: bool = False  # whether the autopilot has reported the ground for half a second, motors on or off
     standing: bool = False  # whether the vehicle is on the ground with motors off
     battery: float = 1.0  # remaining share; NaN: no longer reported
     wind: F64 | None = None  # (2,) or (3,) m/s, velocity of the air; None: unknown

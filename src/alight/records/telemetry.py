@@ -141,6 +141,7 @@ class Telemetry:
     mode: FlightMode = FlightMode.OTHER
     mode_name: str = ""  # the autopilot's own name of the mode
     landed: Landed = Landed.UNKNOWN
+    grounded: float = 0.0  # s from the first to the newest of the last consecutive reports of GROUND
     place: Place | None = None
     velocity_world: F64 = field(default_factory=_unknown)  # (3,) m/s
     world_from_body: F64 | None = None  # (3, 3) rotation
@@ -165,6 +166,11 @@ class Telemetry:
     def ready(self) -> bool:
         """Whether the vehicle may be armed: pre-arm checks passed or disabled, and a valid absolute position."""
         return self.has_position and (self.checks_off or bool((self.sensors_healthy or 0) & PRE_ARM))
+
+    @property
+    def has_contact(self) -> bool:
+        """Whether the ground was reported for half a second, with motors on or off; one false report has no effect."""
+        return self.grounded >= 0.5
 
     @property
     def is_down(self) -> bool:

@@ -1416,6 +1416,26 @@ def test_just_above_the_ground_it_lands_whatever_comes(trouble: str) -> None:
     assert S.ABORT not in f.states
 
 
+@pytest.mark.parametrize("state", [S.COMMIT, S.ABORT])
+def test_after_contact_there_is_no_climb_whatever_height_is_estimated(state: FlightState) -> None:
+    """A vehicle that stood was 3.4 m up by the estimate, without motion: only down is right from then on."""
+    after = list[float]()  # s, times since the contact
+
+    def change(now: Situation, executive: Executive) -> Situation:
+        assert now.position is not None
+        low = executive.state is S.COMMIT and now.position[2] < 4.0
+        if after or (executive.state is state and (low or state is S.ABORT)):
+            after.append(now.t)
+            lost = replace(now, position=None, state=MotionState.LOST, picture_age=9.0, holds=False)
+            return replace(lost, contact=len(after) == 1, standing=len(after) > 50)
+        return replace(now, frame_id=1) if low else now
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), change)
+    assert f.fly(200.0) is S.LANDED
+    assert (S.ABORT in f.states) is (state is S.ABORT)
+    assert {(o.what, o.down) for _, o, _ in f.orders[-51:-1]} == {("land", True)}
+
+
 @pytest.mark.parametrize(("lasting", "aborted"), [(0.6, False), (4.0, True)])
 def test_motion_that_is_degraded_for_a_moment_breaks_no_landing_off(lasting: float, aborted: bool) -> None:
     """Near the ground features change fast: a short degradation is no reason to climb, a longer one is."""

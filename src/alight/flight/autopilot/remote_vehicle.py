@@ -213,15 +213,16 @@ class RemoteVehicle:
             tie: converts the position of the set-point; None: the set-point has no position.
 
         Returns:
-            False if it is not sent, as we are not in control.
+            False if it is not sent: we are not in control, or the vehicle is disarmed on the ground.
 
         Raises:
             ValueError: the set-point is empty, not finite, without speed, or has a position and no tie.
         """
         target = Target.of(setpoint, tie)
-        if self._control.in_control:
+        sends = self._control.in_control and not self._state.newest.is_down
+        if sends:
             self._aim(target)
-        return self._control.in_control
+        return sends
 
     def land_on(self, t_ns: int, target_world: F64, world_from_body: F64) -> bool:
         """Report the target of a precision landing; call it twenty times per second during the landing.
@@ -286,7 +287,10 @@ class RemoteVehicle:
         if boot_ns is not None and not received.overtaken:
             self._on_stamp(boot_ns)
         self._streams.on_message(name, self._timeouts.t_ns)
+        was_armed = self._state.newest.armed
         accepted = self._state.on_message(name, m, self._now_ns)
+        if was_armed and not self._state.newest.armed:
+            self._guidance.target = None  # when it is armed again, it must not fly to an old set-point
         if name == "HEARTBEAT":
             self._on_heartbeat()
         elif name == "RC_CHANNELS" and self._state.sticks is not None:

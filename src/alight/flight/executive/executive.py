@@ -20,7 +20,7 @@ from alight.flight.executive.descent import Descent, is_near_ground, is_too_low_
 from alight.flight.executive.limits import AttemptLimits
 from alight.flight.executive.looks import LookLeg, LookPlanner, look_outcome
 from alight.flight.executive.places import KnownPlaces, Opinion, Standing, opinion
-from alight.flight.executive.table import AT_A_PLACE, CROSSING, ENDS, JUDGE_EVERY, TABLE
+from alight.flight.executive.table import AT_A_PLACE, CROSSING, DOWN, ENDS, JUDGE_EVERY, TABLE
 from alight.flight.executive.ways import ClearWay, Course, SearchLanes
 from alight.landing.wind import ground_speed, is_from_behind
 from alight.records import MotionState, Site, p_safe_text
@@ -84,6 +84,7 @@ class Executive:
         self._leg: LookLeg | None = None  # leg planned last
         self._held = S.SEARCH  # the state before HOLD
         self._judged = 0  # number of the newest verdict that was used
+        self._touched = False  # whether the ground was reported in a state of `DOWN`: no climb from then on
 
     @property
     def target(self) -> Site | None:
@@ -113,6 +114,7 @@ class Executive:
 
     def _observe(self, now: Situation) -> None:
         frame, at = self._frame, now.position
+        self._touched |= now.contact and self.state in DOWN
         if at is not None and frame.home is None:
             frame.home, frame.id = at.copy(), now.frame_id
         if at is not None and self._visit is not None and now.frame_id == frame.id:
@@ -125,8 +127,8 @@ class Executive:
 
     @property
     def _left(self) -> float:
-        """Last known height above the visited location, metres; inf: unknown, or no location is visited."""
-        return math.inf if self._visit is None else self._visit.left
+        """Last known height above the visited location, m; 0 after contact; inf: unknown, or no location is visited."""
+        return 0.0 if self._touched else math.inf if self._visit is None else self._visit.left
 
     def _seen(self, now: Situation) -> MapVerdict | None:
         return None if now.seen is None or now.seen.frame_id != self._frame.id else now.seen
@@ -136,7 +138,7 @@ class Executive:
     def _event(self, now: Situation) -> Event:
         if self.state in (S.LANDED, S.HANDED_OVER):
             return None, ""
-        if now.standing and self.state in (S.COMMIT, S.RETURN):  # before the pilot: some change the mode as motors stop
+        if now.standing and self.state in DOWN:  # before the pilot: some change the mode as motors stop
             return E.TOUCHED_DOWN, "the autopilot says so"
         if now.pilot:
             return E.PILOT, "the mode was changed, or the sticks were moved"
@@ -146,6 +148,9 @@ class Executive:
             return None, ""
         if self.state is S.COMMIT and is_too_low_to_abort(self._left, self._keys):
             return (E.UNFELT, unfelt) if (unfelt := self._descent.unfelt(now.t)) else (None, "")
+        if self._touched and self.state is S.ABORT:
+            late = now.t - self._stage.since > self._keys.hold
+            return (E.WAITED, "it stands, and its motors do not stop") if late else (None, "")
         return self._trouble(now) or self._progress(now)
 
     def _trouble(self, now: Situation) -> Event | None:
@@ -338,12 +343,14 @@ class Executive:
         r, stage = self._route, self._stage
         if self.state in (S.HANDED_OVER, S.LANDED):
             return Order("nothing")
+        if self._touched and self.state is not S.COMMIT:
+            return Order("land", None, self._keys.aside_speed, self._keys.landing_speed, down=True)
         if self.state is S.RETURN:
             return Order("return")
         if self.state is S.COMMIT:
             assert self._visit is not None
             same_frame = now.frame_id == self._frame.id
-            return self._descent.order(now, self._visit.place, self._visit.left, same_frame)
+            return self._descent.order(now, self._visit.place, self._left, same_frame)
         to = stage.across if self.state is S.LOOK and stage.across is not None else stage.way
         if self.state is S.HOLD or now.position is None or stage.crowded or to is None:
             return Order("hold")

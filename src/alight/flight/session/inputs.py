@@ -170,6 +170,7 @@ class LandingInputs:
             self.pictures.frozen > 0,
             link=self._vehicle.alive and not rebooted,
             pilot=self._flying and not in_control and not rebooted,
+            contact=reports.has_contact,
             standing=reports.is_down,
             battery=self._battery.share(reports, now_ns * 1e-9),
             wind=wind if np.isfinite(wind[:2]).all() else None,

@@ -12,7 +12,7 @@ from alight.arrays import F64
 from alight.flight.autopilot import EstimateTie, RemoteVehicle, Setpoint, metres_between
 from alight.flight.session.dry_run import VehicleCommands, place_text
 from alight.geometry import LocalFrame
-from alight.records import FlightMode, Landed, Motion, Place, Telemetry
+from alight.records import FlightMode, Motion, Place, Telemetry
 from alight.records.executive import FlightState, Order
 from alight.settings import ExecutiveSettings
 
@@ -47,7 +47,7 @@ class Contact:
             self._still_ns = now_ns
         least = TOUCH_NS if height is not None and height < TOUCH else STILL_NS
         stopped = self._still_ns is not None and now_ns - self._still_ns >= least
-        return stopped or reports.landed is Landed.GROUND
+        return stopped or reports.has_contact
 
 
 @dataclass(frozen=True, eq=False)
