@@ -347,3 +347,11 @@ def test_two_places_are_as_near_across_the_date_line_as_elsewhere() -> None:
     here = Place(-17.0, 179.99999, 5.0, 5.0)
     assert metres_between(here, Place(-17.0, -179.99999, 5.0, 5.0)) == pytest.approx(2.126, abs=0.01)
     assert metres_between(here, Place(-17.0, 179.99999, 9.0, 9.0)) == pytest.approx(4.0)
+
+
+def test_a_reported_wind_of_exactly_zero_is_unknown() -> None:
+    """A Copter without drag parameters reports WIND(-180, 0, 0) in 8 m/s of wind."""
+    state = VehicleState(ArduPilotFirmware())
+    for speed, known in ((5.0, True), (0.0, False), (0.1, True)):
+        state.on_message("WIND", mavlink.MAVLink_wind_message(-180.0, speed, 0.0), 0)
+        assert np.isfinite(state.newest.wind_world).all() == known

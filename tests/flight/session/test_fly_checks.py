@@ -32,6 +32,7 @@ def rig(**more: Any) -> PilotRig:
 
 def hovering(seconds: float = 6.0, silent: frozenset[str] = frozenset()) -> PilotRig:
     r = rig()
+    r.sim.vehicle.body.wind_world[0] = 1.0  # exactly 0 is unknown
     r.sim.reports.silent |= silent
     r.up_and_flying(20.0)
     r.run(seconds)

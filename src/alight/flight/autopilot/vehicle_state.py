@@ -63,7 +63,12 @@ def _home(m: Any) -> dict[str, Any]:
 
 
 def _wind(m: Any) -> dict[str, Any]:
-    """Return the telemetry's `wind_world` from ArduPilot's WIND; its `direction`, degrees, is where wind comes from."""
+    """Return the telemetry's `wind_world` from ArduPilot's WIND; its `direction`, degrees, is where wind comes from.
+
+    A Copter without `EK3_DRAG_...` parameters reports a speed of exactly 0 in any wind: the wind is unknown then.
+    """
+    if m.speed == 0:
+        return _wind_ned(math.nan)
     towards = math.radians(m.direction) + math.pi if math.isfinite(m.direction) else math.nan
     return _wind_ned(m.speed * math.cos(towards), m.speed * math.sin(towards), m.speed_z)
 
