@@ -228,6 +228,9 @@ class SimulatedAutopilot:
             done, failed = self.reports.request(round(p[0]), p[1]), denied
         elif command == mavlink.MAV_CMD_DO_SET_MODE:
             doing = self.dialect.doing(p) if self.boot >= self._refuses_until else None
+            if doing is Doing.HOLD and not self.located:
+                logic.texts.append("Mode change to BRAKE failed: requires position")
+                doing = None
             done = doing is not None and logic.enter(doing, self.boot)
         elif command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             if p[0] > 0.5 and not self.ready:

@@ -35,6 +35,7 @@ SHOW_EVERY = 0.2  # s between two statuses, and two recorded reports of the auto
 USUAL_RATE = 5.0  # exposures per second, assumed before the first has come
 UNEXPECTED = (NoticeKind.TAKEOVER, NoticeKind.REBOOT, NoticeKind.LINK_LOST, NoticeKind.LINK_BACK, NoticeKind.TEXT)
 TAKEN = "somebody else flies now: nothing is sent to the vehicle any more"
+LANDS = "the vehicle lands where it is, as the autopilot has refused to hold"
 UNCONFIRMED = "the vehicle was ordered to hold and has not confirmed it: take over"
 REFUSED = "the checks before the flight found something bad"
 
@@ -363,12 +364,13 @@ class FlightSession:
             self.vehicle.release()
         if taken:
             return TAKEN
-        return "the vehicle holds its place" if held else UNCONFIRMED
+        lands = self.pilot.orders.stop_mode is FlightMode.LAND
+        return UNCONFIRMED if not held else LANDS if lands else "the vehicle holds its place"
 
     def _holds(self) -> bool:
         with self.feed.lock:
             ordered = self.pilot.stop(time.monotonic_ns())
-            return ordered and self.vehicle.alive and self.vehicle.telemetry.mode is FlightMode.HOLD
+            return ordered and self.vehicle.alive and self.vehicle.telemetry.mode is self.pilot.orders.stop_mode
 
     def _outcome(self, stopped: str) -> FlightOutcome:
         pilot, plan = self.pilot, self.plan

@@ -78,6 +78,7 @@ class OrderSender:
         self._farthest = 2.0 * keys.search_side, keys.search_height + 60.0  # m, longest path: over the ground, upwards
         self._mode: FlightMode | None = None  # ordered
         self._ticket, self._refused_ns, self._refusals = -1, -AGAIN_NS, 0
+        self.stop_mode = FlightMode.HOLD  # or LAND once HOLD was refused, as without a position; until guided again
         self._heading: float | None = None  # rad clockwise from north, of the nose under guidance
         self._wanted: tuple[FlightMode, int] | None = None  # mode to order, and since when it is wanted
         self._held: tuple[Place, int] | None = None  # held position, and instant of its last order
@@ -111,8 +112,8 @@ class OrderSender:
         return self._go(order.position, order, motion, now_ns)
 
     def stop(self, now_ns: int) -> bool:
-        """Order the autopilot to hold by itself; return False while the order must wait."""
-        return self.order_mode(FlightMode.HOLD, now_ns)
+        """Order the autopilot to hold by itself or, if it has refused, to land; return False while the order waits."""
+        return self.order_mode(self.stop_mode, now_ns)
 
     def on_answer(self, ticket: int | None, ok: bool, now_ns: int) -> None:
         """Process the answer to a command; a mode that was refused is ordered again after `AGAIN_NS`.
@@ -124,6 +125,10 @@ class OrderSender:
         self._ticket = -1
         if ok:
             self._refusals = 0
+            return
+        if self._mode is FlightMode.HOLD and self._vehicle.telemetry.mode is not FlightMode.HOLD:
+            self.stop_mode, self._mode = FlightMode.LAND, None
+            self._warn("hold was refused: it is ordered to land where it is")
             return
         self._refusals += 1
         if self._refusals == 3 and self._mode is not None:
@@ -147,16 +152,18 @@ class OrderSender:
             return False
         self._wanted = self._heading = None
         self._mode = mode
+        if mode is FlightMode.GUIDED:
+            self.stop_mode = FlightMode.HOLD
         self._ticket = self._commands.set_mode(mode)
         return True
 
     def _hold(self, state: FlightState, now_ns: int) -> str:
-        """Hold in guided mode or, in state HOLD or ABORT or without a new position, in HOLD mode; return the action."""
+        """Hold in guided mode or, in state HOLD or ABORT or without a new position, by `stop`; return the action."""
         here = self._vehicle.place_at(now_ns) or self._vehicle.telemetry.place
         if state in (FlightState.HOLD, FlightState.ABORT) or here is None or self._vehicle.place_age > self._stale:
             self._held = None  # else it would fly to a position from before a jump of the estimate
-            self.order_mode(FlightMode.HOLD, now_ns)
-            return "hold"
+            self.stop(now_ns)
+            return self.stop_mode.value
         self.order_mode(FlightMode.GUIDED, now_ns)
         kept = self._kept(here, now_ns)
         self._held = kept, now_ns
