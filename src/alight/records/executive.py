@@ -31,6 +31,7 @@ class FlightEvent(StrEnum):
     """Event that changes the state of a landing."""
 
     PILOT = "the pilot has taken over"
+    FAILSAFE = "a failsafe of the autopilot has taken over"
     LINK_LOST = "the autopilot is silent"
     NAVIGATION_LOST = "the motion is not known"
     CAMERA_LOST = "no pictures come"
@@ -77,6 +78,7 @@ class Situation:
     frozen: bool = False  # whether new pictures are bit-identical repetitions
     height: float | None = None  # metres, height above ground; None: unknown
     link: bool = True  # whether the autopilot sends reports
+    failsafe: bool = False  # whether the autopilot is in a critical state: its own failsafe flies, not a pilot
     pilot: bool = False  # whether someone else flies
     contact: bool = False  # whether the autopilot has reported the ground for half a second, motors on or off
     standing: bool = False  # whether the vehicle is on the ground with motors off

@@ -139,6 +139,7 @@ class Telemetry:
     boot_ns: int = 0  # newest time of the autopilot's clock, since its boot
     armed: bool = False
     mode: FlightMode = FlightMode.OTHER
+    failsafe: bool = False  # whether it reports a critical state, as when a failsafe of its own flies
     mode_name: str = ""  # the autopilot's own name of the mode
     landed: Landed = Landed.UNKNOWN
     grounded: float = 0.0  # s from the first to the newest of the last consecutive reports of GROUND

@@ -25,6 +25,7 @@ class FlightLogic:
     disarms: bool = True  # whether it disarms after a landing; False: like PX4 with COM_DISARM_LAND below 0
     interlock: bool | None = None  # whether a helicopter's rotor may turn; None: it has no such switch
     doing: Doing = Doing.PILOT
+    failsafe: bool = False  # whether its heartbeat reports a critical state
     texts: list[str] = field(default_factory=list)  # status texts since they were last read
 
     def __post_init__(self) -> None:

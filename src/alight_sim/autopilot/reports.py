@@ -66,7 +66,8 @@ class Reports:
 def _heartbeat(now: SimulatedAutopilot) -> Any:
     base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if now.logic.armed else 0)
     mode = now.dialect.number(now.logic.doing)
-    return mavlink.MAVLink_heartbeat_message(now.kind, now.dialect.autopilot, base, mode, mavlink.MAV_STATE_ACTIVE, 3)
+    status = mavlink.MAV_STATE_CRITICAL if now.logic.failsafe else mavlink.MAV_STATE_ACTIVE
+    return mavlink.MAVLink_heartbeat_message(now.kind, now.dialect.autopilot, base, mode, status, 3)
 
 
 def _sys_status(now: SimulatedAutopilot) -> Any:

@@ -16,7 +16,7 @@ from alight.flight.autopilot.firmware import ArduPilotFirmware, Px4Firmware
 from alight.flight.session.orders import Contact
 from alight.geometry import Pose
 from alight.records import FlightMode, Landed, Motion, MotionState, Telemetry
-from alight.records.executive import FlightState, Order
+from alight.records.executive import FlightEvent, FlightState, Order
 from alight_sim.autopilot.dialects import Doing
 from alight_sim.point_mass import FlightLimits, PointMass
 
@@ -321,3 +321,13 @@ def test_where_a_hold_is_refused_it_lands(dialect: str) -> None:
     assert r.run(12.0, lambda: r.doing is Doing.LAND)
     assert any("hold was refused: it is ordered to land" in line for line in r.orders)
     assert r.run(60.0, lambda: r.sim.vehicle.body.stands)
+
+
+@BOTH
+def test_a_failsafe_is_not_called_a_pilot(dialect: str) -> None:
+    r = flying(dialect)
+    assert r.fly(S.LOOK)
+    r.sim.logic.failsafe = True
+    r.sim.pilot(Doing.RETURN)
+    assert r.fly(S.HANDED_OVER, 5.0)
+    assert r.events[-1] is FlightEvent.FAILSAFE

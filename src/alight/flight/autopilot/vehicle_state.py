@@ -129,7 +129,8 @@ class VehicleState:
         if name == "HEARTBEAT":
             mode, mode_name = self._firmware.mode(m.custom_mode)
             armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-            self.newest = replace(self.newest, armed=armed, mode=mode, mode_name=mode_name)
+            failsafe = m.system_status in (mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY)
+            self.newest = replace(self.newest, armed=armed, mode=mode, mode_name=mode_name, failsafe=failsafe)
         elif name == "EXTENDED_SYS_STATE":
             self._on_landed_state(m.landed_state, now_ns)
         elif name == "RC_CHANNELS":

@@ -141,7 +141,7 @@ class Executive:
         if now.standing and self.state in DOWN:  # before the pilot: some change the mode as motors stop
             return E.TOUCHED_DOWN, "the autopilot says so"
         if now.pilot:
-            return E.PILOT, "the mode was changed, or the sticks were moved"
+            return (E.FAILSAFE, "") if now.failsafe else (E.PILOT, "the mode was changed, or the sticks were moved")
         if not now.link:
             return E.LINK_LOST, "no heartbeat"
         if self.state is S.RETURN:

@@ -18,8 +18,7 @@ CROSSING = 2.0  # s between two verdicts while a look leg is flown
 
 
 def _rows() -> Mapping[tuple[FlightState, FlightEvent], FlightState]:
-    out = {(s, E.PILOT): S.HANDED_OVER for s in (*FLYING, S.RETURN)}
-    out |= {(s, E.LINK_LOST): S.HANDED_OVER for s in (*FLYING, S.RETURN)}
+    out = {(s, e): S.HANDED_OVER for s in (*FLYING, S.RETURN) for e in (E.PILOT, E.FAILSAFE, E.LINK_LOST)}
     out |= {(s, E.NAVIGATION_LOST): S.HOLD for s in ABOVE} | {(s, E.CAMERA_LOST): S.HOLD for s in ABOVE}
     out |= {(s, e): S.RETURN for s in (*ABOVE, S.HOLD) for e in (E.WIND, E.BATTERY, E.TIME)}
     out |= {(S.HOLD, E.RECOVERED): S.SEARCH, (S.HOLD, E.WAITED): S.HANDED_OVER}
