@@ -41,7 +41,7 @@ def open_jobs(scheduler: str | None, processes: int = 1) -> Iterator[Jobs]:
 
     Raises:
         MissingExtraError: Dask is not installed.
-        InputError: no scheduler answers there, it has no worker, or a worker has another version of Alight.
+        InputError: no scheduler answers, the scheduler has no worker, or a worker has another version of Alight.
     """
     if scheduler is None:
         yield InProcesses(processes) if processes > 1 else InTurn()
@@ -77,10 +77,13 @@ class ClusterJobs:
 
     def __init__(self, client: Any) -> None:
         self._client = client
-        self._sent = dict[str, tuple[Any, int]]()  # future and bytes of each argument, last used last
+        self._sent = dict[str, tuple[Any, int]]()  # future and bytes of each argument, least recently used first
 
     def run(self, tasks: Iterable[Task], at_once: bool = False, any_order: bool = False) -> Iterator[Any]:
-        """Yield the results; see `Jobs.run`. With `any_order`, all tasks are sent at once, so new workers get some."""
+        """Yield the results; see `Jobs.run`. `at_once` has no effect.
+
+        With `any_order`, all tasks are submitted immediately, so that workers that join later get some of them.
+        """
         from distributed import CancelledError, KilledWorker
 
         most = self._ahead if not any_order else lambda: sys.maxsize
@@ -112,7 +115,7 @@ def do_alike(digest: str, do: Callable[..., Any], *arguments: Any) -> Any:
     """Do a task on a worker and return its result.
 
     Args:
-        digest: `sources_digest()` of the sender.
+        digest: `sources_digest()` of the program that sent the task.
         do, arguments: function of the task, and its arguments.
 
     Raises:

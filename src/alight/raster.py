@@ -341,6 +341,11 @@ def log_offset(values: F32, offset: float) -> F32:
 # -- log brightness and excess green of a picture: their contrasts do not depend on the exposure
 
 
+def rgb_levels(picture: U8) -> U8:
+    """Return the levels of a picture, grey (R, C) or RGB, as RGB (R, C, 3)."""
+    return picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
+
+
 def grey_levels(picture: ArrayLike) -> U8:
     """Convert an 8-bit picture, (R, C) grey or (R, C, 3) RGB, to grey levels (R, C)."""
     levels = np.asarray(picture)

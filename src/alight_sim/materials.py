@@ -203,7 +203,10 @@ BY_CLASS: dict[Terrain, Look] = {
 
 @cache
 def tables() -> tuple[F32, NDArray[np.int32], F32]:
-    """Return the inputs of the kernels: (L, PARAMS) parameters of the looks, (9,) look per class, (L,) 1 for water."""
+    """Return the inputs of the kernels for the L surface looks (`Look`).
+
+    Parameters per look, (L, PARAMS); look of each `Terrain` code, 0 to 8, (9,); 1 for a look of water, else 0, (L,).
+    """
     looks = np.array([MATERIALS[k].row() for k in Look], np.float32)
     wet = np.array([k in (Look.CLEAR_WATER, Look.MURKY_WATER, Look.STILL_WATER) for k in Look], np.float32)
     return looks, np.array([BY_CLASS[k] for k in Terrain], np.int32), wet

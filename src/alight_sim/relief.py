@@ -45,9 +45,10 @@ def _add(x: F64, y: F64, waves: tuple[F64, F64], form: int, seed: int, out: F64)
 
 
 def octaves(deviation: float, longest: float, shortest: float, fall: float) -> tuple[F64, F64]:
-    """Return wavelengths, halved from `longest` to `shortest`, and the standard deviation of each octave, metres.
+    """Return the wavelength and the standard deviation of each octave, (N,) metres each, longest first.
 
-    The deviation of an octave is proportional to wavelength**fall. `deviation`: of the sum of all octaves, metres.
+    Wavelengths are halved from `longest` to `shortest`, metres. The deviation of an octave is proportional to
+    wavelength**fall. `deviation`: standard deviation of the sum of all octaves, metres.
     """
     count = max(1, 1 + math.floor(math.log2(max(longest / shortest, 1.0)) + 1e-9))
     wavelengths = longest * 0.5 ** np.arange(count, dtype=np.float64)
@@ -56,7 +57,10 @@ def octaves(deviation: float, longest: float, shortest: float, fall: float) -> t
 
 
 def noise(x: F64, y: F64, seed: int, longest: float, shortest: float, fall: float = 1.0) -> F64:
-    """Return noise of unit deviation at positions of any shape, of `longest` to `shortest` m; see `octaves`."""
+    """Return noise of unit standard deviation at positions `x`, `y` (east, north), metres, of any shape.
+
+    The wavelengths are `longest` to `shortest` metres. Amplitudes are proportional to wavelength**fall.
+    """
     if x.size == 0:
         return np.zeros(x.shape)
     east, north = (np.ascontiguousarray(v).reshape(len(v), -1) for v in (x, y))

@@ -40,7 +40,7 @@ class ClockOffset:
 
 @dataclass(frozen=True, eq=False)
 class PredictedMotion:
-    """Motion of a picture predicted from a log, at time steps of `STEP`; NaN where it is unknown.
+    """Motion of a picture, predicted from a log, at time steps of `STEP`; NaN where it is unknown.
 
     D numbers describe the motion, such as the flows at some points of the picture.
     """

@@ -38,7 +38,10 @@ def check_exposure(evidence: RigEvidence) -> CheckResult:
 
 
 def _flicker(means: F64) -> float:
-    """Return the median deviation of the log of mean greys (N,) from the mean of the pictures before and after each."""
+    """Return how much mean greys (N,) flicker; 0 for fewer than five pictures.
+
+    The flicker is the median of |log grey - mean log grey of the pictures before and after|.
+    """
     if len(means) < 5:
         return 0.0
     logs = np.log(np.maximum(means, 1.0))
@@ -46,7 +49,11 @@ def _flicker(means: F64) -> float:
 
 
 def _brightness_ratio(evidence: RigEvidence) -> float:
-    """Return the largest absolute value, over the cameras, of the median log ratio of mean grey to camera 0's."""
+    """Return how much the cameras differ in brightness, as the absolute value of a log ratio; 0 for one camera.
+
+    The ratio of a camera is the median of log(mean grey / mean grey of camera 0) over the exposures of both cameras.
+    The largest ratio of all cameras is returned.
+    """
     first, *others = [dict(zip(c.seconds, (b.mean for b in c.brightness), strict=True)) for c in evidence.cameras]
     ratios = [[np.log(max(m[t], 1.0) / max(first[t], 1.0)) for t in first if t in m] for m in others]
     return max((abs(float(np.median(r))) for r in ratios if r), default=0.0)
@@ -77,7 +84,10 @@ def check_sharpness(evidence: RigEvidence) -> CheckResult:
 
 
 def _by_motion(seen: CameraEvidence, x: float, y: float) -> tuple[float, float]:
-    """Return the edge widths along and across the motion, given those across x and y; if it is oblique, `x` twice."""
+    """Return the edge widths along and across the motion, px, given the widths across x and y.
+
+    If the motion is oblique or unknown, `x` is returned for both.
+    """
     if len(seen.flows) < 5:
         return x, x
     share = np.median(np.abs([f.shift for f in seen.flows]), axis=0)

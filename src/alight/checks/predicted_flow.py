@@ -104,7 +104,7 @@ class FlowFit:
 
     @property
     def depth_error(self) -> float:
-        """1-sigma of the common scale error of all inverse depths, as a share; the focal length causes it."""
+        """Relative 1-sigma (0.01 is 1 %) of the scale of all inverse depths, caused by the focal length's error."""
         return float(self.sigma[FOCAL])
 
 

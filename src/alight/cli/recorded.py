@@ -208,7 +208,11 @@ def train_model(
     sampling: SamplingOption = 0.05,
     verbose: options.Verbose = False,
 ) -> None:
-    """Train a model on your own pictures, and test it on each site with a model trained on the other sites."""
+    """Train a model on your own pictures, and test the method by leaving out one site after another.
+
+    Each site is judged by a model trained on the other sites. The site of a picture is given by index.csv, else by a
+    folder within the folder of the class.
+    """
     from alight.runner.appearance import train_to_file
 
     with progress_bar() as report:
@@ -235,7 +239,7 @@ def evaluate_model(
     sampling: SamplingOption = 0.05,
     verbose: options.Verbose = False,
 ) -> None:
-    """Print the confusion matrix of a model, by site. Without FOLDER: the provenance of the model."""
+    """Test a model on pictures, and print its confusion of classes by site. Without FOLDER: print its provenance."""
     from alight.runner.appearance import judge_appearance
     from alight.sources.appearance import read_model
     from alight.training.confusion import lines_of

@@ -29,7 +29,10 @@ class Detection:
     pixels: F64  # (N,) share found in pictures, where `width / pixel` is `sizes`
 
     def missed(self, width: F64, sampling: F64, pixel: F64) -> F64:
-        """Return the share of obstacles of `width` that heights and pictures both miss; lengths broadcast, metres."""
+        """Return the share of obstacles of `width` that heights and pictures both miss.
+
+        `sampling`, `pixel`: widths of a match sample and of a pixel on the ground. All lengths broadcast, metres.
+        """
         seen = [
             np.interp(np.log(width / at), np.log(self.sizes), curve)
             for at, curve in ((sampling, self.heights), (pixel, self.pixels))
@@ -37,19 +40,29 @@ class Detection:
         return np.asarray((1 - seen[0]) * (1 - seen[1]))
 
     def unseen_share(self, limit: float, sampling: F32, pixel: F32) -> F32:
-        """Return the share of obstacles higher than `limit` that samples and pixels of these widths miss; in metres."""
+        """Return the share of obstacles higher than `limit` that heights and pictures both miss.
+
+        `sampling`, `pixel`: widths of a match sample and of a pixel on the ground. All lengths are in metres.
+        """
         at = [_position(v / np.float32(limit)) for v in (sampling, pixel)]
         return _bilinear(self._unseen, at[0], at[1])
 
     @cached_property
     def _unseen(self) -> F64:
-        """Unseen share of obstacles above a limit, by sampling / limit (rows) and pixel / limit (columns)."""
+        """Table of the share of obstacles higher than a limit that are not seen, (N, N).
+
+        Rows: width of a match sample on the ground / limit. Columns: width of a pixel on the ground / limit. The ratios
+        of rows and of columns are the N `RATIOS`.
+        """
         width = WIDE * np.geomspace(1, LARGEST, 24)
         missed = self.missed(width[None, None], RATIOS[:, None, None], RATIOS[None, :, None])
         return np.asarray(np.average(missed, axis=-1, weights=width ** (1 - STEEP)))
 
     def smallest_found(self, share: float, sampling: F32, pixel: F32) -> F32:
-        """Return the height of the smallest obstacle found with probability `share`; all lengths in metres."""
+        """Return the height of the smallest obstacle found with probability `share`.
+
+        `sampling`, `pixel`: widths of a match sample and of a pixel on the ground. All lengths are in metres.
+        """
         ratios = np.geomspace(0.25, 32.0, 43)  # width of a match sample over the width of a pixel
         widest = 60.0  # in pixels; wider obstacles are always found
         widths = np.geomspace(0.5, widest, 200)[:, None]

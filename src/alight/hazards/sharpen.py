@@ -16,7 +16,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from alight.arrays import F32, F64, U8, Mask
 from alight.hazards.footprint_kernels import cast_shadows
-from alight.raster import grey_levels, upsample
+from alight.raster import grey_levels, rgb_levels, upsample
 from alight.records import ElevationMap
 from alight.settings.tuning.hazards import SharpenTuning
 from alight.spread import SIGMA_OF_MAD
@@ -263,7 +263,7 @@ def sharpen(elevation: ElevationMap, image: U8, tuning: SharpenTuning) -> Elevat
 
 def _refined(elevation: ElevationMap, z: F32, lit: Mask, image: U8, factor: int) -> ElevationMap:
     height = np.where(upsample(np.isfinite(elevation.height), factor), z, np.float32(np.nan))
-    rgb = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    rgb = rgb_levels(image)
     return replace(
         elevation,
         grid=elevation.grid.finer(factor),

@@ -117,7 +117,7 @@ class Touchdowns:
     sigma: F32  # metres, root mean square sigma of the heights under the lander
     slope: F32  # rad, slope of the footprint, or worst tilt of feet or skids
     rise: F32 | None  # metres, ground under the belly above the worst contact plane; None: not judged
-    rotor: F32 | None  # sigmas, least margin below rotors beyond the footprint; None: no such rotors
+    rotor: F32 | None  # sigmas, least margin below rotors beyond the footprint; None: no rotors reach there
     step: F32  # metres, largest step in the footprint
     smooth_roughness: F32  # metres, largest deviation of heights smoothed by 0.2 m, to reduce noise
     trend_roughness: F32  # metres, largest deviation of heights smoothed by 0.45 m: curvature of the ground
@@ -179,7 +179,7 @@ def smoothed_roughness(height: F32, radius: float, cell: float, length: float) -
 
 
 def _edge_and_unknown(height: F32, footprint: Footprint, on: Inputs) -> tuple[Mask, Mask]:
-    """Return the mask of touchdowns that leave the map, and the mask of those with too much unknown ground (G6a)."""
+    """Return two masks of touchdowns: those that leave the map, and those with too much unknown ground (G6a)."""
     lander, settings, cell, radius = on.lander, on.settings, on.cell, on.lander.radius
     unseen = np.isnan(on.elevation.height) | is_flagged(on.elevation.flags, Flag.UNSEEN)
     no_height = np.isnan(height)
@@ -211,7 +211,8 @@ def padded_spans(spans: I64, reach: int) -> I64:
 def _vetoed(height: F32, on: Inputs) -> Mask:
     """Return the mask, (R, C), of touchdowns vetoed by land cover under the gear or in reach of the rotors.
 
-    Cells without a class are not refused.
+    `height`: (R, C) usable heights, NaN elsewhere. Tall vegetation vetoes rotors only where it is NaN. Cells without a
+    class veto nothing.
     """
     cover, lander, cell = on.land_cover, on.lander, on.cell
     if cover is None:
@@ -225,7 +226,7 @@ def _vetoed(height: F32, on: Inputs) -> Mask:
 
 
 def _rotor(height: F32, footprint: Footprint, on: Inputs) -> F32 | None:
-    """Return the least margin below rotors beyond the footprint, (R, C) sigmas; None without such rotors."""
+    """Return the least margin below rotors beyond the footprint, (R, C) sigmas; None: no rotors reach there."""
     e, lander = on.elevation, on.lander
     if lander.rotor_radius is None or lander.rotor_radius <= lander.radius:
         return None

@@ -16,11 +16,11 @@ SIGMAS_OF_TIE = 2.0  # number of sigmas of the tie that a site's clearance must 
 
 @dataclass(frozen=True)
 class Reserve:
-    """Sites found so far in a flight, and the sites that the newest map refused."""
+    """Sites of all maps so far that no newer map refuses, and the sites that the newest map refused."""
 
     sites: tuple[Site, ...] = ()
     lost: tuple[tuple[Site, str], ...] = ()  # sites refused by the newest map, with the reasons in words
-    frame_id: int = 0  # map number of the positions
+    frame_id: int = 0  # map number of the frame of the positions
 
     def moved(self, shift: F64) -> Reserve:
         """Return the reserve with all sites moved by `shift`, (3,) metres."""
@@ -65,7 +65,7 @@ class Reserve:
 
 
 def _refusal(hazards: HazardMap, site: Site) -> str | None:
-    """Return why the hazards refuse a site, in words; None if they do not, or if the map does not show the site."""
+    """Return why the hazards refuse a site, in words; None if they do not refuse it, or do not show it."""
     row, col = (int(np.rint(v)) for v in hazards.grid.index(np.array(site.east), np.array(site.north)))
     if not (0 <= row < hazards.grid.rows and 0 <= col < hazards.grid.cols):
         return None

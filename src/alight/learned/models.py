@@ -134,7 +134,7 @@ class Net(FittedTable):
             if len(left) == len(self.terms):
                 out = np.empty((len(left), *values.shape), np.float16)
             i = left.pop(name)
-            standard = np.nan_to_num((values - self.usual[i]) / self.spread[i])  # an unknown feature is usual
+            standard = np.nan_to_num((values - self.usual[i]) / self.spread[i], copy=False)  # unknown: usual
             np.clip(standard, -self.clip, self.clip, out=out[i])
         if left:
             raise ValueError(f"terms of the net that are missing: {', '.join(sorted(left))}")
@@ -181,7 +181,8 @@ class KnownGround(FittedTable):
         centres, out = self.means @ self.whitening, np.empty(len(values), np.float32)
         for first in range(0, len(values), CELLS_AT_A_TIME):
             some = slice(first, first + CELLS_AT_A_TIME)
-            z = np.nan_to_num((values[some] - self.usual) / self.spread).clip(-self.clip, self.clip) @ self.whitening
+            z = np.nan_to_num((values[some] - self.usual) / self.spread, copy=False)
+            z = z.clip(-self.clip, self.clip) @ self.whitening
             square = (z * z).sum(axis=1)[:, None] - 2 * z @ centres.T + (centres * centres).sum(axis=1)
             out[some] = np.maximum(square.min(axis=1), 0) / np.float32(self.limit)
         return out
@@ -189,7 +190,7 @@ class KnownGround(FittedTable):
 
 @dataclass(frozen=True, eq=False)
 class Rate(FittedTable):
-    """Expected number of hazards: its logarithm is a sum of piecewise linear curves that never decrease."""
+    """Expected number of hazards per touchdown. Its log is a sum of piecewise linear curves that never decrease."""
 
     knots: F64  # (T, K) values of each feature, ascending; curves are constant beyond their ends
     heights: F64  # (T, K) values of the curve at the knots, increasing from 0
@@ -205,7 +206,9 @@ class Rate(FittedTable):
         return bool((np.diff(self.knots, axis=1) > 0).all() and (np.diff(self.heights, axis=1) >= 0).all())
 
     def log_rate(self, found: Mapping[str, F32]) -> F32:
-        """Compute the log of the expected number of hazards from features by identifier, in the shape of one feature.
+        """Compute the log of the expected number of hazards per touchdown.
+
+        `found`: features by identifier, arrays of one shape, which is the shape of the result.
 
         Raises:
             KeyError: a feature of the rate is missing.
@@ -217,14 +220,20 @@ class Rate(FittedTable):
 
 
 class Floor(NamedTuple):
-    """Least expected number of hazards of a factor, from one kind of evidence, as a sum of products of curves."""
+    """Lower bound of the expected number of hazards per touchdown, for one factor of P(safe), from a few features.
+
+    The bound is a sum of products of curves of the features.
+    """
 
     factor: str
-    nearness: str  # name of the nearness that weights the floor
+    nearness: str  # name of the nearness that weights the lower bound
     products: tuple[dict[str, tuple[F64, F64]], ...]  # knots and values of curves, by feature identifier
 
     def expected(self, found: Mapping[str, F32]) -> F32:
-        """Compute the least expected number of hazards from features by identifier, in the shape of one feature."""
+        """Compute the lower bound of the expected number of hazards per touchdown.
+
+        `found`: features by identifier, arrays of one shape, which is the shape of the result.
+        """
         each = (math.prod(np.interp(found[k], *curve) for k, curve in p.items()) for p in self.products)
         return np.asarray(sum(each), np.float32)
 

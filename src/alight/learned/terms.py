@@ -63,7 +63,10 @@ class NearTerm(StrEnum):
 
 
 class FloorTerm(StrEnum):
-    """Features that are used by floors (`floors.yaml`) only, and not by the rates."""
+    """Features for the floors only, the lower bounds of the expected number of hazards (`models.Floor`).
+
+    The fitted rates (`models.Rate`) do not use them.
+    """
 
     UNLIKE = "unlike"  # log odds of the softest patch minus log odds of its surroundings
     RIDGE = "ridge"  # metres, relief of the highest straight ridge

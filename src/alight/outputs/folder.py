@@ -90,7 +90,7 @@ def report_file(result: RunResult) -> Contents:
 
 
 def contents(r: RunResult) -> Contents:
-    """Return every file but run.json, in the order of writing; a reason in `r.not_written` replaces its file."""
+    """Return all files but run.json, in the order of writing; for a file in `r.not_written`, its reason."""
     makers = {"trajectory.tum": vectors.tum, "trajectory.csv": vectors.csv}
     motion: Contents = {
         name: partial(make, r.motions) if r.motions else "the motion was not estimated" for name, make in makers.items()
@@ -169,7 +169,7 @@ def remove_work(out: Path) -> None:
 
 
 def is_finished(folder: Path) -> bool:
-    """Whether the folder holds a finished run and no saved work of a later, unfinished one."""
+    """Whether the folder holds a finished run and no saved work of a later, unfinished run."""
     return is_run(folder) and not is_work(folder / WORK)
 
 
@@ -232,7 +232,7 @@ def prepare_folder(out: Path, overwrite: bool = False, inputs: Sequence[Path] = 
 
 
 def _is_note(path: Path) -> bool:
-    """Whether a file is GDAL's or QGIS' notes on a raster (statistics, colours), which do not hold for a new raster."""
+    """Whether a file is GDAL's or QGIS' notes on a raster (statistics, colours), which are wrong for a new raster."""
     with suppress(OSError):
         return path.is_file() and b"<PAMDataset" in path.read_bytes()[:200]
     return False
@@ -249,7 +249,7 @@ def write_folder(
     written, run.json lists the missing files, and then the error is raised.
 
     Args:
-        files: every file but run.json, in the order of writing, or the reason why it is not written.
+        files: all files but run.json, in the order of writing; for a file that is not written, the reason.
         info: returns the content of run.json, from the missing files and their reasons.
         out: output folder.
         overwrite: whether a folder with other files is accepted.

@@ -36,7 +36,7 @@ class RecursiveParallax:
         self._unswept = self._unknown = np.float32(settings.recursive.unknown_ratio)
         self._cell, self._ground = cell, ground
         self.kept = dict[int, list[Kept]]()  # views of each exposure, by its time in ns, oldest first
-        self._ratio: tuple[Grid, F32] | None = None  # ambiguity, moved along with the window; NaN: to be swept again
+        self._ratio: tuple[Grid, F32] | None = None  # `Window.ratio` of the last step, on its grid; None: nothing swept
         self.blocks, self._buffers = Blocks(settings.recursive), Buffers()
         self.alignment = Alignment(settings)
         self.came = list[tuple[Grid, Mask]]()  # rectangles of the last step; True: somebody came (eq. 16e)
@@ -143,14 +143,15 @@ class RecursiveParallax:
 
     @staticmethod
     def _wanted(ratio: F32) -> F32:
-        """Return the least baseline for sweeping each cell, in units of `first_baseline`; a failed sweep doubles it.
+        """Return the least baseline, in units of `first_baseline`, at which each cell is swept.
 
-        `ratio`: see `Window.ratio`; 1 or more: the last sweep failed at a baseline of that many units.
+        `ratio`: see `Window.ratio`. A value of 1 or more is the baseline at which the last sweep failed; twice that
+        baseline is returned. For a smaller value, the cost ratio of a sweep, and for NaN, 1 is returned.
         """
         return np.where(ratio >= 1, 2 * ratio, np.float32(1))
 
     def _has_baseline(self, baseline: F32, count: U8, ratio: F32, drop: float) -> Mask:
-        """Return a mask of the cells with enough views and baseline to be swept, given their last cost `ratio`.
+        """Return a mask of the cells with enough views and baseline to be swept; `ratio`: see `_wanted`.
 
         `baseline`: metres. `count`: number of views. `drop`: height of the camera above the ground, metres.
         """

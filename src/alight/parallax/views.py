@@ -16,7 +16,7 @@ from alight.arrays import F32, F64, U8, Mask
 from alight.geometry import Camera, Grid, Pose, ground_projection
 from alight.parallax.projection_kernels import project_grid
 from alight.parallax.view_kernels import normalise
-from alight.raster import grey_levels
+from alight.raster import grey_levels, rgb_levels
 from alight.records import View
 
 NORM_CELLS = 5  # cells, window of the local mean and deviation; 9 cells smear walls and give a third more noise
@@ -269,8 +269,7 @@ def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, m
 
 def colour_at(view: View, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
     """Return the gain-corrected colours (R, C, 3) of a view at columns `mapx` and rows `mapy` of its prepared image."""
-    picture = np.asarray(view.image)
-    rgb = picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
+    rgb = rgb_levels(np.asarray(view.image))
     scale = np.float32(view.camera.fu / prepared.camera.fu)
     offset = np.float32(0.5) * scale - np.float32(0.5)
     seen = cv2.remap(rgb, mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR)

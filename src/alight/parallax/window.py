@@ -46,7 +46,7 @@ class Window:
     known: ElevationMap  # the map before the step
     kept: list[Kept]  # the views used in the step
     seen: refine.ViewGeometry
-    ratio: F32  # (R, C) best over second-best cost of the last sweep; NaN: to be swept again
+    ratio: F32  # (R, C) best over second-best cost of the last sweep, or baseline if it failed; NaN: sweep again
     searched: tuple[float, float]  # metres, lowest and highest height
     drop: float  # metres, height of the newest camera above the ground
     nearly: NDArray[np.intp]  # (N,) index of the first view with the same occlusions: `first_of_twins` by `BESIDE`

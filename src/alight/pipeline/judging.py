@@ -107,7 +107,10 @@ class JudgingMemory:
 
     @property
     def reserve(self) -> Reserve:
-        """Sites of all maps judged so far, and the sites that the newest map refused, with reasons; in the world."""
+        """Sites, in the world, of all maps judged so far that no newer map refuses.
+
+        `lost` are the sites that the newest map refused, with the reasons.
+        """
         return self.kept if self.frame is None else self.kept.moved(self.frame.offset_world)
 
     def tied(self, tie: Tie, frame: MapFrame) -> JudgingMemory:

@@ -66,7 +66,7 @@ class MapFrame:
         return replace(grid, east=grid.east + east, north=grid.north + north)
 
     def elevation(self, elevation: ElevationMap) -> ElevationMap:
-        """Convert a map of this frame to the world, with its map number and the covariance of its position.
+        """Convert a map of this frame to the world, and give it the frame's map number and covariance.
 
         The applied offset is removed from the datum's covariance.
         """
@@ -85,7 +85,7 @@ class MapFrame:
         )
 
     def sites(self, sites: Sites) -> Sites:
-        """Convert sites and candidates of this frame to the world, with its map number."""
+        """Convert sites and candidates of this frame to the world, and give them the frame's map number."""
         return replace(sites.moved(self.offset_world), frame_id=self.frame_id)
 
 

@@ -67,7 +67,10 @@ class Pipeline:
 
     @property
     def reserve(self) -> Reserve:
-        """Sites of all maps judged so far, and the sites that the newest map refused, with reasons; in the world."""
+        """Sites, in the world, of all maps judged so far that no newer map refuses.
+
+        `lost` are the sites that the newest map refused, with the reasons.
+        """
         return self._judging.memory.reserve
 
     @property

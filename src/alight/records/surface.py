@@ -133,7 +133,7 @@ class ElevationMap(Heights):
 
     warp: F32 | None = None  # (R, C) metres, 1-sigma from bending by pose errors, in addition to the datum
     fine: U8 | None = None  # (f * R, f * C, 3) orthophoto, f x f pixels per cell, mean of several views; None: unknown
-    fine_sampling: F32 | None = None  # (R, C) metres, ground width of a pixel of these views; None: `sampling`
+    fine_sampling: F32 | None = None  # (R, C) metres, ground width of a pixel in the views of `fine`; None: `sampling`
     frame_id: int = 0  # map number of the poses (`Motion.frame_id`)
     position_covariance: F64 | None = None  # (3, 3) m^2, of the whole map's absolute position; None: unknown
 
@@ -159,7 +159,7 @@ class ElevationMap(Heights):
 
     @property
     def picture_sampling(self) -> F32:
-        """Ground width of a pixel of the finest picture's views, (R, C) metres."""
+        """Width on the ground of a camera pixel in the views that the finest picture was made from, (R, C) metres."""
         return self.sampling if self.fine_sampling is None else self.fine_sampling
 
     @property

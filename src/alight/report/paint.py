@@ -101,7 +101,10 @@ def span(values: NDArray[Any], low: float = 1.0, high: float = 99.0) -> tuple[fl
 
 
 def hillshade(height: F32, known: NDArray[np.bool_], cell: float) -> NDArray[np.float32]:
-    """Return the light from the north-west at 45 degrees on the relief, (R, C), 0.45 to 1.17; 1 on level ground."""
+    """Return the light from the north-west at 45 degrees on the relief, (R, C), 0.45 to 1.17.
+
+    It is 1 on level ground, in unknown cells and near them. `known`: (R, C) cells with a height; `cell`: metres.
+    """
     smooth = weighted_gaussian(height, known.astype(np.float32), 1.2).mean  # noise of centimetres would hide the relief
     down, right = gradient(smooth, cell)
     nx, ny = -right, down  # east and north components of the upward normal

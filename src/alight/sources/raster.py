@@ -10,6 +10,7 @@ import numpy as np
 
 from alight.arrays import F32, U8, Mask
 from alight.geometry import Grid
+from alight.raster import rgb_levels
 from alight.records import ElevationMap, Flag, InputError
 from alight.sources.beside_heights import Beside, image_beside, own_sigma, sigma_beside
 from alight.sources.heights import RasterHeights, read_heights
@@ -83,8 +84,9 @@ def _sigma(given: str, heights: RasterHeights) -> Beside:
 def _as_map(grid: Grid, height: F32, sigma: F32, known: Mask, image: U8 | None) -> ElevationMap:
     rgb, fine = np.full((*grid.shape, 3), 128, np.uint8), None
     if image is not None:
-        fine = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
-        rgb = np.asarray(cv2.resize(fine, grid.shape[::-1], interpolation=cv2.INTER_AREA), np.uint8)
+        fine, size = rgb_levels(image), grid.shape[::-1]
+        same = image.shape[:2] == grid.shape
+        rgb = fine if same else np.asarray(cv2.resize(fine, size, interpolation=cv2.INTER_AREA), np.uint8)
     return ElevationMap(
         grid=grid,
         height=np.where(known, height, np.float32(np.nan)),

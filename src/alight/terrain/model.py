@@ -62,7 +62,7 @@ def _blur(values: F32, sigma: float) -> F32:
 
 
 def _resized(rgb: U8, seen: NDArray[np.bool_], factor: float) -> tuple[F32, F32]:
-    """Resize a picture by `factor` and fill its pixels that are not `seen`; return it and each pixel's seen share."""
+    """Resize a picture by `factor` and fill pixels that are not `seen`; return picture and seen share per pixel."""
     size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
     how = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     weight = cv2.resize(seen.astype(np.float32), size, interpolation=how)
@@ -210,7 +210,10 @@ def distance(head: Head, z: F32) -> F32:
 
 
 def scores(head: Head, features: F32) -> F32:
-    """Compute class scores (N, K), not divided by the temperature; they fade far from all classes (T4)."""
+    """Compute class scores (N, K) of features (N, F), before the division by the temperature.
+
+    The scores tend to 0 far from the training features of all classes (T4).
+    """
     z = standardised(head, features)
     fading = 1 / (1 + np.maximum(distance(head, z) - 1, 0))
     return np.asarray((z @ head.weights.T + head.bias) * fading[:, None], np.float32)
@@ -224,15 +227,25 @@ def log_softmax(values: NDArray[Real], axis: int = -1) -> NDArray[Real]:
 
 
 def log_probability(head: Head, features: F32) -> F32:
-    """Compute the log probability of each class for a uniform prior, (N, K)."""
+    """Compute the log probability of each class, (N, K), from features (N, F), for a uniform prior."""
     return log_softmax(scores(head, features) / np.float32(head.temperature))
 
 
 def appearance_evidence(model: Model, rgb: U8, sampling: float, seen: NDArray[np.bool_] | None = None) -> F32 | None:
     """Compute the log probability of each class per block of a picture, (r, c, K), for a uniform prior.
 
-    Detail is relative to its median over the picture (T3). NaN where too little was seen; None if pixels are too
-    coarse.
+    A block has 4 x 4 pixels of the picture, after it is resized to a level. The features "against the frame" are
+    detail minus the median detail of the picture (T3).
+
+    Args:
+        model: trained model.
+        rgb: (H, W, 3) picture.
+        sampling: width of a pixel on the ground, metres.
+        seen: (H, W) mask of pixels with a picture; None: all pixels.
+
+    Returns:
+        Log probabilities, NaN where less than half of the window around a block was seen. None if the pixels are too
+        coarse, or if the model has no head for their level.
     """
     found = appearance_features(rgb, sampling, seen)
     head = model.heads[found.level] if found else None

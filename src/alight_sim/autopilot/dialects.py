@@ -25,12 +25,16 @@ class Doing(Enum):
 
 @dataclass(frozen=True)
 class Dialect:
-    """The properties in which autopilots differ."""
+    """The properties in which autopilots differ.
+
+    If two `modes` have equal parameters, a command with them selects the last one. Unless `target_delay` is infinite,
+    LAND first waits for a target, 7 s at most.
+    """
 
     autopilot: int  # MAV_AUTOPILOT
     lacks: tuple[str, ...]  # messages that it does not send
-    modes: Mapping[Doing, tuple[int, int]]  # parameters 2 and 3 of MAV_CMD_DO_SET_MODE; the last of equal pairs is used
-    mode_shift: int  # bits by which the first parameter is shifted in a heartbeat's custom mode
+    modes: Mapping[Doing, tuple[int, int]]  # parameters 2 and 3 of MAV_CMD_DO_SET_MODE per mode
+    mode_shift: int  # bits by which parameter 2 is shifted to the left in a heartbeat's custom mode
     reports_changes: bool  # whether it sends a heartbeat at once when its mode changes, not only every second
     needs_setpoints: bool  # whether it leaves guided flight when set-points stop
     turns_to_course: bool  # whether it turns the nose along the course if no heading is commanded
@@ -38,7 +42,7 @@ class Dialect:
     returns_at_disarm: bool  # whether disarming restores the last mode that allows arming
     lands_in_guided: bool  # whether it detects the ground under position set-points too, not only under velocities
     dead_reckoning: float  # s for which its estimator keeps the position without the receiver
-    target_delay: float  # s of reports before LAND uses a target; LAND waits for the first; infinite: never used
+    target_delay: float  # s for which a target must be reported before LAND uses it; infinite: LAND ignores targets
 
     def number(self, doing: Doing) -> int:
         """Return the custom mode with which a heartbeat reports a mode."""

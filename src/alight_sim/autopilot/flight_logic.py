@@ -122,7 +122,7 @@ class FlightLogic:
         return True
 
     def aim_landing(self, target: F64, t: float) -> None:
-        """Store the reported position of a landing target, (3,) metres, received at time `t` (s)."""
+        """Store the reported position of a landing target, (3,) ENU metres from home, received at time `t` (s)."""
         if self._target is None or t - self._target[0] > 0.5:
             self._target_since = t
         self._target = (t, target)

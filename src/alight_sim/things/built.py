@@ -52,7 +52,11 @@ def stamp(sheet: Sheet, things: F64, kind: int, label: Terrain = Terrain.STRUCTU
 
 
 class Boxes(Scattered):
-    """Things with vertical sides."""
+    """Things with vertical sides.
+
+    Each box draws one of `tints`, which are factors on the colour. With `apart`, boxes at random positions keep clear
+    of the things of earlier layers that also have `apart`.
+    """
 
     turn_deg: float | None = Field(None, description="of the long side, counter-clockwise from east; none: at random")
     tints: tuple[Tint, ...] = Field((), description="factors [[red, green, blue], ...] on the look, to draw from")
@@ -64,7 +68,7 @@ class Boxes(Scattered):
         return True
 
     def turns(self, rng: Generator, count: int) -> F64:
-        """Return (count,) turns in rad, the user's or random ones."""
+        """Return (count,) turns in rad: `turn_deg` if it is set, else random turns."""
         turns = rng.uniform(0.0, 2.0 * math.pi, count)
         return turns if self.turn_deg is None else np.full(count, math.radians(self.turn_deg))
 

@@ -16,18 +16,18 @@ from alight.parallax.wires.line_kernels import BLOCK, REACH, pick_lines, raise_l
 from alight.parallax.wires.residuals import PlaneView
 
 DIRECTIONS = 40
-SLOPES = np.linspace(-1.0, 1.0, DIRECTIONS // 2, endpoint=False) + 2.0 / DIRECTIONS  # cells down for a cell along
-LONG = BLOCK * (2 * REACH + 1)  # cells of a line, along its nearer axis
-TALL = 16  # cells across, of which a view gives its strongest line only
-LEAST = 3.5  # noise of the sums, of a line in one view that is looked for in the others
-MOST = 150  # lines of a view
+SLOPES = np.linspace(-1.0, 1.0, DIRECTIONS // 2, endpoint=False) + 2.0 / DIRECTIONS  # cells down per cell along
+LONG = BLOCK * (2 * REACH + 1)  # length of a line along its nearer axis, cells
+TALL = 16  # cells across a line, of which only the strongest line of a view is used
+LEAST = 3.5  # least sum, in units of noise, of a line in one view that is searched in the other views
+MOST = 150  # largest number of lines per view
 STILL = 2.0  # cells: see `raise_lines`
-CLEAR = 100.0  # noise of the sums, of a line that is followed
-CAP = 3.0  # noise of the sums: see `raise_lines`
-FEWEST = 3  # other views that confirm a line
-ABOUT = np.linspace(-3.0, 3.0, 7)  # cells of parallax above and below a place at which its line is looked for
-BESIDE = np.linspace(-3.0, 3.0, 5)  # cells beside it
-MOST_VAGUE = 0.3  # metres that are taken for a cell of parallax at most
+CLEAR = 100.0  # sum, in units of noise, that is assumed for a line that is followed
+CAP = 3.0  # in units of the noise of the sums: see `raise_lines`
+FEWEST = 3  # least number of other views that confirm a line
+ABOUT = np.linspace(-3.0, 3.0, 7)  # cells of parallax above and below a position at which a line is searched
+BESIDE = np.linspace(-3.0, 3.0, 5)  # cells beside the position at which a line is searched
+MOST_VAGUE = 0.3  # largest height difference assumed for a cell of parallax, metres
 STEP = 1.5  # cells by which a line moves in the farthest view from one height to the next
 
 
@@ -35,33 +35,33 @@ STEP = 1.5  # cells by which a line moves in the farthest view from one height t
 class Pieces:
     """Pieces of wires, found by one view and confirmed by others, in no order."""
 
-    own: I64  # (K,) number of the view that shows it
-    score: F64  # (K,) sum of the other views over the root of their number
+    own: I64  # (K,) index of the view in which the piece was found
+    score: F64  # (K,) sum over the other views, divided by the root of their number
     height: F64  # (K,) metres above the plane
-    place: F64  # (K, 2) east, north of its middle
-    along: F64  # (K, 2) unit vector, east, north
-    half: F64  # (K,) metres, half its length
-    shown: F64  # (K, 2) east, north where its view shows it on the plane
+    place: F64  # (K, 2) metres, east and north of the middle of the piece
+    along: F64  # (K, 2) unit vector along the piece, east and north
+    half: F64  # (K,) metres, half the length of the piece
+    shown: F64  # (K, 2) metres, east and north at which view `own` shows the piece on the plane
     sign: F64  # (K,) 1: brighter than the ground, -1: darker
-    vague: F64  # (K,) metres of height that move it by a cell in the view that tells most
+    vague: F64  # (K,) metres of height that move the piece by one cell in the most sensitive view
 
     def of(self, which: Mask | I64) -> Pieces:
-        """Return some of the pieces."""
+        """Return the pieces that a mask (K,) or indices select."""
         return Pieces(**{k: v[which] for k, v in vars(self).items()})
 
     @classmethod
     def joined(cls, parts: Sequence[Pieces]) -> Pieces:
-        """Return all pieces of all parts."""
+        """Concatenate the pieces of all parts."""
         return cls(**{k: np.concatenate([getattr(p, k) for p in parts]) for k in vars(parts[0])})
 
 
 class Nearby(NamedTuple):
-    """The best line near a given one."""
+    """The best line near a given line."""
 
     score: float
     height: float  # metres above the plane
-    views: int  # number of them
-    strength: float  # as the score, but of views that count in full
+    views: int  # number of other views that show the line
+    strength: float  # score if each view's sum is limited to the line's own sum instead of `CAP`
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,12 @@ class LineSums:
 
     @cached_property
     def sums(self) -> F32:
-        """(V, 2, D, B, R) sums; family 0: lines nearly along rows, family 1: the same of the transposed picture."""
+        """Sums of each view's difference along straight lines, divided by their noise, (V, 2, D, B, R).
+
+        The axes are view, family, slope (`SLOPES`), block of `BLOCK` columns, and row. A line runs through its block's
+        middle. Family 0 has lines nearly along rows. Family 1 has lines nearly along columns: slope, block and row
+        are those of the transposed picture.
+        """
         shapes = [s for v in self.views for s in (v.grid.shape, v.grid.shape[::-1])]
         most_rows, most_blocks = max(s[0] for s in shapes), max(s[1] for s in shapes) // BLOCK
         out = np.zeros((len(self.views), 2, len(SLOPES), most_blocks, most_rows), np.float32)
@@ -87,7 +92,7 @@ class LineSums:
 
     @cached_property
     def _known(self) -> U8:
-        """(V, 2, B, R) share of each block's row that is known, 0 to 255."""
+        """Share of known cells in each row of each block, 0 to 255, (V, 2, B, R); axes as in `sums`."""
         out = np.zeros((len(self.views), 2, *self.sums.shape[3:]), np.uint8)
         for k, v in enumerate(self.views):
             for family, known in enumerate((v.known, v.known.T)):
@@ -107,7 +112,10 @@ class LineSums:
         return np.array([v.above for v in self.views])
 
     def segments(self, own: int, lowest: float, highest: float, least: float) -> Pieces:
-        """Return the lines of a view that other views confirm, from `lowest` to `highest` metres above the plane."""
+        """Return the lines of view `own` that other views confirm, from `lowest` to `highest` metres above the plane.
+
+        `least`: smallest score of the returned lines.
+        """
         family, d, block, row = self._lines(own)
         strength = self.sums[own, family, d, block, row]
         grid, slope = self.views[own].grid, SLOPES[d]
@@ -128,9 +136,9 @@ class LineSums:
         return out.of(found[:, 0] >= least)
 
     def _vague(self, own: int, along: F64, height: F64) -> F64:
-        """Return the metres of height (K,) that move lines by one cell, across, in the view that tells most.
+        """Return the height differences (K,), metres, that move lines by one cell across in the most sensitive view.
 
-        A line at `h` moves by `b h / (H - h)` for a baseline `b` across it.
+        A line at height `h` moves by `b h / (H - h)` for a baseline `b` across the line and a camera at height `H`.
         """
         base = (self._centres - self._centres[own])[:, :2] @ np.array([-along[:, 1], along[:, 0]])  # (V, K)
         up, widest = self._centres[own, 2], np.abs(base).max(axis=0)
@@ -140,9 +148,9 @@ class LineSums:
         """Return the best line near each of some parallel lines in the air.
 
         Args:
-            own: number of a view that shows them.
-            places: (N, 2) east, north.
-            along: (2,) unit vector.
+            own: index of a view that shows the lines.
+            places: (N, 2) metres, east and north of each line.
+            along: (2,) unit vector along the lines.
             sign: 1: brighter than the ground, -1: darker.
             heights: (N,) metres above the plane.
         """
@@ -172,7 +180,7 @@ class LineSums:
         return out
 
     def _lines(self, own: int) -> tuple[I64, I64, I64, I64]:
-        """Return family, slope number, block and row of the strongest lines of a view, (N,) each."""
+        """Return family, slope index, block and row of the strongest lines of a view, (N,) each; see `sums`."""
         out, rows = np.empty((2, 4 * MOST, 3), np.int64), self.views[own].grid.shape
         counts = [pick_lines(self.sums[own, f], rows[f], TALL, LEAST, out[f]) for f in range(2)]
         family = np.repeat(np.arange(2), counts)
@@ -182,12 +190,12 @@ class LineSums:
         return family[best], d[best], block[best], row[best]
 
     def _heights(self, own: int, lowest: float, highest: float) -> F64:
-        """Return the heights (T,), metres above the plane, at which lines are looked for.
+        """Return the heights (T,), metres above the plane, at which lines are searched.
 
-        From one to the next a line moves by `STEP` cells in the farthest view that shows it. With the camera at `H`, it
-        moves by `b m` with `m = h / (H - h)`. Of pictures `W` wide on the plane, those within `b = W / (1 + m)` show a
-        wire at `h`. So there is a step for every cell of the widest baseline, at first, and of the picture for every
-        factor of `1 + m`, later.
+        From one height to the next, a line moves by `STEP` cells in the farthest view that shows it. For a camera at
+        height `H` and a baseline `b`, a line at height `h` moves by `b m` with `m = h / (H - h)`. Pictures `W` wide on
+        the plane show the line up to the baseline `b = W / (1 + m)`. So `m` grows by equal steps while the widest
+        baseline is shorter than that, and `1 + m` by equal factors beyond.
         """
         up, grid = self._centres[own, 2], self.views[own].grid
         highest = min(highest, up - 1.5)
@@ -204,7 +212,7 @@ class LineSums:
 
 
 def _noise_of(sums: F32) -> F32:
-    """Return the noise (D, 1, 1) of the sums (D, B, R) of each direction: ground with a grain is noisy along it."""
+    """Return the noise (D, 1, 1) of the sums (D, B, R) per slope; sums along the grain of the ground are noisier."""
     size = np.abs(sums[:, :, ::3])
     mean = size.sum(axis=(1, 2)) / np.maximum(np.count_nonzero(size, axis=(1, 2)), 1)
     usual = np.median(mean)

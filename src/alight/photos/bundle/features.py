@@ -19,7 +19,7 @@ from alight.arrays import F32, F64, U8
 from alight.geometry import Camera
 from alight.jobs import Jobs, Sent, Task
 from alight.photos.bundle.sift_kernels import features
-from alight.raster import grey_levels
+from alight.raster import grey_levels, rgb_levels
 from alight.records import Frame, MissingExtraError, Pixels
 from alight.settings import BundleSettings
 
@@ -164,8 +164,7 @@ def rooted(descriptors: F32) -> U8:
 
 def colours_at(picture: U8, pixels: F64) -> F32:
     """Return the mean colours (K, 3) around pixels (K, 2) of a picture, RGB (H, W, 3) or grey (H, W)."""
-    even = cv2.blur(picture, (9, 9))
-    even = even if even.ndim == 3 else np.repeat(even[..., None], 3, axis=2)
+    even = rgb_levels(np.asarray(cv2.blur(picture, (9, 9)), np.uint8))
     col, row = (np.rint(pixels[:, k]).astype(int).clip(0, even.shape[1 - k] - 1) for k in (0, 1))
     return np.asarray(even[row, col], dtype=np.float32)
 

@@ -62,7 +62,7 @@ class PhotoEvidence:
 
     @property
     def height(self) -> float:
-        """Height above take-off by the tags, else above ground by matched pairs, metres; NaN: unknown."""
+        """Median camera height above take-off by the tags, else above ground by matched pairs, metres; NaN: unknown."""
         above = self.above
         return float(np.nanmedian(above)) if np.isfinite(above).any() else self.measured
 

@@ -10,7 +10,9 @@ MARGIN = 1.02  # fitted range of radii, in multiples of the radius of the image'
 
 
 def fisheye_terms(scale: float, polynomial: list[float], radius: float) -> F64 | None:
-    """Fit the equidistant model to Pix4D's fisheye; return (5,) pixels: f, f k1, ..., f k4; None: too few samples.
+    """Fit the equidistant model to Pix4D's fisheye; return (5,) pixels: f, f k1, ..., f k4.
+
+    None: fewer than 20 samples of the polynomial lie within `radius`.
 
     Args:
         scale: `C` in pixels of the model `r = C sum(p[i] t**i)`, with `t = 2 angle / pi`.

@@ -39,10 +39,10 @@ def is_keyframe(
 
 
 class Keyframe(NamedTuple):
-    """Exposure that is kept, with its motion in flight."""
+    """Exposure that is kept, with its motion as estimated on arrival."""
 
     frame: Frame
-    motion: Motion | None  # None: comes at the end of the recording
+    motion: Motion | None  # None: it is estimated only at the end of the recording, as of photos
 
 
 class FrameStore:
@@ -51,11 +51,11 @@ class FrameStore:
     def __init__(self) -> None:
         self.keyframes: list[Keyframe] = []
         self.taken = 0  # number of frames ever kept
-        self.last: Motion | None = None  # motion of the newest frame with one; None: no such frame
+        self.last: Motion | None = None  # motion of the newest frame that has a motion; None: no frame has one
 
     @property
     def bytes(self) -> int:
-        """Bytes of all pixels."""
+        """Size of the pixels of all frames, bytes."""
         return sum(i.nbytes for k in self.keyframes for i in k.frame.images if i is not None)
 
     def keep(self, frame: Frame, motion: Motion | None = None) -> None:
