@@ -84,7 +84,8 @@ class Situation:
     standing: bool = False  # whether the vehicle is on the ground with motors off
     battery: float = 1.0  # remaining share; NaN: no longer reported
     wind: F64 | None = None  # (2,) or (3,) m/s, velocity of the air; None: unknown
-    holds: bool = True  # whether the autopilot has its own position and can hold it
+    holds: bool = True  # whether the autopilot has its own position, by a fix of its receiver, and can hold it
+    lands: bool = False  # whether the autopilot is in its landing mode
     offset: F64 | None = None  # (3,) metres, from the map frame to the world
 
     @property

@@ -159,9 +159,19 @@ class Telemetry:
     @property
     def has_position(self) -> bool:
         """Whether the estimator reported a valid absolute position (`is_absolute`) in the last 10 s."""
-        messages = ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
-        age = min((self.ages[name] for name in messages if name in self.ages), default=0.0)
-        return self.estimator_flags is not None and age < 10.0 and is_absolute(self.estimator_flags)
+        recent = self._is_recent("EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
+        return self.estimator_flags is not None and recent and is_absolute(self.estimator_flags)
+
+    @property
+    def can_hold(self) -> bool:
+        """Whether the vehicle can hold its place: it has a position, and its receiver reported a fix in the last 10 s.
+
+        After the loss of GPS, an estimator reports its position for 5 to 8 s more, but cannot keep it.
+        """
+        return self.has_position and self.gps.fix >= FIX_3D and self._is_recent("GPS_RAW_INT")
+
+    def _is_recent(self, *messages: str) -> bool:
+        return min((self.ages[name] for name in messages if name in self.ages), default=0.0) < 10.0
 
     @property
     def ready(self) -> bool:

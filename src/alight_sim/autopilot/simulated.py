@@ -157,6 +157,12 @@ class SimulatedAutopilot:
         """Refuse all commands that change the mode for the next `seconds`."""
         self._refuses_until = self.boot + seconds
 
+    def fail_safe(self, doing: Doing, *texts: str) -> None:
+        """Change the mode to `doing` as a failsafe of the autopilot does: in a critical state, with its texts."""
+        self.logic.failsafe = True
+        self.logic.texts += texts
+        self.logic.enter(doing, self.boot)
+
     def pilot(self, doing: Doing = Doing.PILOT) -> None:
         """Change the mode to `doing` as a pilot does, not by a command over the link."""
         self.logic.enter(doing, self.boot)

@@ -352,9 +352,9 @@ def test_one_low_verdict_does_not_break_a_landing_off() -> None:
     assert S.ABORT not in f.states
 
 
-@pytest.mark.parametrize(("height", "holds", "broken_off"), [(4.5, True, True), (2.5, True, False), (2.5, False, True)])
-def test_degraded_motion_ends_a_landing_but_near_the_ground(height: float, holds: bool, broken_off: bool) -> None:
-    """From 2 m swaying grass fills the picture, and the landing goes on; without its own place the autopilot drifts."""
+@pytest.mark.parametrize(("height", "holds", "broken_off"), [(4.5, True, 1), (2.5, True, 0), (4.5, False, 0)])
+def test_degraded_motion_ends_a_landing_but_near_the_ground(height: float, holds: bool, broken_off: int) -> None:
+    """From 2 m swaying grass fills the picture, and the landing goes on; a climb without a position is worse."""
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
 
     def weak(now: Situation, executive: Executive) -> Situation:
@@ -364,7 +364,7 @@ def test_degraded_motion_ends_a_landing_but_near_the_ground(height: float, holds
 
     f.change = weak
     f.fly(120.0)
-    assert (S.ABORT in f.states) is broken_off
+    assert f.states.count(S.ABORT) == broken_off
 
 
 def test_a_landing_makes_no_step_to_a_better_spot_beside_it() -> None:
@@ -771,9 +771,9 @@ def test_a_landing_that_does_not_come_down_is_broken_off() -> None:
     assert "does not come down" in f.executive.diary.transitions[k].reason
 
 
-@pytest.mark.parametrize(("holds", "ends"), [(True, S.RETURN), (False, S.HANDED_OVER)])
-def test_motion_lost_in_a_landing_is_waited_for_as_long_as_the_autopilot_holds(holds: bool, ends: S) -> None:
-    """When the motion is known again, the vehicle climbs before it searches."""
+@pytest.mark.parametrize(("holds", "ends"), [(True, S.RETURN), (False, S.LANDED)])
+def test_motion_lost_in_a_landing_is_waited_for_if_the_autopilot_holds(holds: bool, ends: S) -> None:
+    """When the motion is known again, the vehicle climbs before it searches. Without a position it goes on down."""
     lost_at: list[float] = []
 
     def lose(now: Situation, executive: Executive) -> Situation:

@@ -312,17 +312,6 @@ def test_set_points_end_when_the_vehicle_is_disarmed_on_the_ground() -> None:
     assert not r.moving_since(t)
 
 
-@EITHER
-def test_where_a_hold_is_refused_it_lands(dialect: str) -> None:
-    """Without a position BRAKE is refused: `Mode change to BRAKE failed: requires position`."""
-    r = flying(dialect)
-    assert r.fly(S.LOOK)
-    r.sim.healthy = False
-    assert r.run(12.0, lambda: r.doing is Doing.LAND)
-    assert any("hold was refused: it is ordered to land" in line for line in r.orders)
-    assert r.run(60.0, lambda: r.sim.vehicle.body.stands)
-
-
 @BOTH
 def test_a_failsafe_is_not_called_a_pilot(dialect: str) -> None:
     r = flying(dialect)

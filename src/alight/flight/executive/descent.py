@@ -107,8 +107,8 @@ class Descent:
         """Return the order for the situation `now`, `left` metres above the site `place`.
 
         The vehicle waits over the site while verdicts do not keep up with the descent, and before the last metres until
-        there are enough verdicts for an abort. It sinks straight down if its position is unknown, or is not in the map
-        frame of the site (`same_frame`).
+        there are enough verdicts for an abort, but not if the autopilot cannot hold its position. It sinks straight
+        down if its position is unknown, or is not in the map frame of the site (`same_frame`).
         """
         low, sink = is_too_low_to_abort(left, self._keys), self._keys.landing_speed
         self._flown.append((now.t, left))
@@ -120,7 +120,8 @@ class Descent:
         beside = math.hypot(place.east - now.position[0], place.north - now.position[1])
         within = self._keys.off_way if self._over else self._keys.on_way
         enough = self._over or self._has_enough_verdicts(left)
-        self._over = low or (beside <= within and enough and self._is_checked(left))
+        waits = now.holds and not (enough and self._is_checked(left))
+        self._over = low or (beside <= within and not waits)
         at = np.array([place.east, place.north, place.up])
         if self._over:
             self._kept = None

@@ -140,15 +140,16 @@ class Executive:
             return None, ""
         if now.standing and self.state in DOWN:  # before the pilot: some change the mode as motors stop
             return E.TOUCHED_DOWN, "the autopilot says so"
+        if not now.link:  # before the pilot: control is given away with the link
+            return E.LINK_LOST, "no heartbeat"
         if now.pilot:
             return (E.FAILSAFE, "") if now.failsafe else (E.PILOT, "the mode was changed, or the sticks were moved")
-        if not now.link:
-            return E.LINK_LOST, "no heartbeat"
         if self.state is S.RETURN:
             return None, ""
-        if self.state is S.COMMIT and is_too_low_to_abort(self._left, self._keys):
+        # without a position the autopilot soon lands by its own failsafe: a climb would only make its way down longer
+        if self.state is S.COMMIT and (is_too_low_to_abort(self._left, self._keys) or not now.holds):
             return (E.UNFELT, unfelt) if (unfelt := self._descent.unfelt(now.t)) else (None, "")
-        if self._touched and self.state is S.ABORT:
+        if self._touched and self.state in (S.ABORT, S.HOLD):
             late = now.t - self._stage.since > self._keys.hold
             return (E.WAITED, "it stands, and its motors do not stop") if late else (None, "")
         return self._trouble(now) or self._progress(now)
@@ -157,7 +158,7 @@ class Executive:
         over = self._limits.exceeded(now)
         if self.state is S.HOLD:
             if (waited := now.t - self._stage.since) > self._limits.patience(now):
-                return E.WAITED, f"for {waited:.0f} s"
+                return E.WAITED, f"nothing to fly by for {waited:.0f} s"
             if over is not None and now.holds:
                 return over
         lost = now.state in (MotionState.LOST, MotionState.INITIALISING)
@@ -182,7 +183,8 @@ class Executive:
         assert now.position is not None or self.state is S.ABORT
         if self.state is S.HOLD:
             recovered = now.t - self._limits.missing_at >= self._keys.degraded  # a brief recovery does not end a hold
-            return (E.RECOVERED, "") if recovered else (None, "")
+            nearly_down = now.lands and (self._frame.above or math.inf) < self._keys.commit_height
+            return (E.RECOVERED, "") if recovered and not nearly_down else (None, "")
         if self.state is S.SEARCH:
             return self._searching(now)
         if self.state is S.ABORT:
@@ -325,10 +327,9 @@ class Executive:
     def _follow(self, now: Situation) -> None:
         """Continue in a new map frame: forget all locations, and search around the present position."""
         assert now.position is not None
-        above = self._frame.above
-        self._frame = frame = _Frame(now.frame_id, now.position.copy(), self._frame.ground, above)
-        if above is not None and frame.home is not None:  # the height above ground stays
-            frame.ground = float(now.position[2]) - above
+        self._frame = frame = replace(self._frame, id=now.frame_id, home=now.position.copy(), lanes=None)
+        if frame.above is not None and frame.home is not None:  # the height above ground stays
+            frame.ground = float(now.position[2]) - frame.above
             frame.home[2] = frame.ground + self._keys.search_height
         self._visit, self._stage.way = None, None
         self._course.begin()
@@ -352,7 +353,8 @@ class Executive:
             same_frame = now.frame_id == self._frame.id
             return self._descent.order(now, self._visit.place, self._left, same_frame)
         to = stage.across if self.state is S.LOOK and stage.across is not None else stage.way
-        if self.state is S.HOLD or now.position is None or stage.crowded or to is None:
+        climbs_blind = self.state is S.ABORT and not now.holds
+        if self.state is S.HOLD or climbs_blind or now.position is None or stage.crowded or to is None:
             return Order("hold")
         to = self._course.next_point(now.position, to, self._seen(now), self.state)
         way = to - now.position

@@ -20,11 +20,12 @@ class AttemptLimits:
         self._begun: float | None = None  # s, start of the landing
         self._since: dict[FlightEvent, float] = {}  # s, since when each quantity exceeds its limit
         self._sound_at = -math.inf  # s, when the motion was last not degraded
-        self.missing_at = -math.inf  # s, when motion or pictures were last missing
+        self.missing_at = -math.inf  # s, when motion, pictures or the autopilot's position were last missing
 
     def observe(self, now: Situation) -> None:
-        """Note the start of the landing, and the last time at which the motion was not degraded."""
+        """Note the start of the landing, and when the motion was last sound, or the autopilot without a position."""
         self._begun = now.t if self._begun is None else self._begun
+        self.missing_at = self.missing_at if now.holds else now.t
         if now.state is not MotionState.DEGRADED:
             self._sound_at = now.t
 
@@ -58,9 +59,8 @@ class AttemptLimits:
 
         Args:
             state: present state; during HOLD, the state before it.
-            left: height above the site, metres. Near the ground, a landing continues with degraded motion if the
-                autopilot can hold its position.
+            left: height above the site, metres. Near the ground, a landing continues with degraded motion.
         """
-        if state is FlightState.COMMIT and now.holds and is_near_ground(left, self._keys):
+        if state is FlightState.COMMIT and is_near_ground(left, self._keys):
             return False
         return state in NEAR_A_PLACE and now.t - self._sound_at >= self._keys.degraded

@@ -13,7 +13,7 @@ from alight.arrays import F64, U8
 from alight.flight.autopilot import RemoteVehicle
 from alight.geometry import LocalFrame
 from alight.pipeline import Verdict
-from alight.records import Frame, Motion, MotionState, Telemetry
+from alight.records import FlightMode, Frame, Motion, MotionState, Telemetry
 from alight.records.executive import MapVerdict, Situation
 
 SILENT = 20.0  # s without a report, after which a battery that was reported is unknown
@@ -175,7 +175,8 @@ class LandingInputs:
             standing=reports.is_down,
             battery=self._battery.share(reports, now_ns * 1e-9),
             wind=wind if np.isfinite(wind[:2]).all() else None,
-            holds=located,
+            holds=reports.can_hold,
+            lands=reports.mode is FlightMode.LAND,
         )
         return now, m if position is not None else None
 
