@@ -83,7 +83,7 @@ class PilotRig(Rig, LandingLog):
         self.up.put = listen  # type: ignore[method-assign]
         tick, self._passed = self.ours.tick, 0
         self.ours.tick = lambda now_ns: tick(now_ns + LATER)  # type: ignore[method-assign]
-        self.each_step = self._fly
+        self.each_step = self.fly_on
         self.ticks = True  # False: somebody else ticks the pilot
 
     @property
@@ -158,7 +158,8 @@ class PilotRig(Rig, LandingLog):
 
     # -- every step
 
-    def _fly(self) -> None:
+    def fly_on(self) -> None:
+        """Do at a step what our end does: expose, judge, and tick the pilot."""
         if self._pilot is None:
             return
         for due, do in [x for x in self._later if x[0] <= self.t]:

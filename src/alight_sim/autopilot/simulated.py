@@ -226,6 +226,12 @@ class SimulatedAutopilot:
         if np.abs(angles).max() <= 0.05 * max(m.distance, 1.0):
             self.logic.aim_landing(self.estimated + self.attitude @ np.array([m.x, -m.y, -m.z]), self.boot)
 
+    def _may_start(self, arms: bool) -> bool:
+        high = arms and self.dialect.arms_with_throttle_down and self.reports.sticks[2] > 1150
+        if high:
+            self.logic.texts.append("Arm: Throttle (RC3) is not neutral")
+        return not high
+
     def execute(self, command: int, p: tuple[float, ...]) -> int:
         """Execute a MAV_CMD with its seven parameters; return its MAV_RESULT."""
         denied, failed, logic = mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_FAILED, self.logic
@@ -241,7 +247,7 @@ class SimulatedAutopilot:
         elif command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             if p[0] > 0.5 and not self.ready:
                 return int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
-            done = logic.arm(p[0] > 0.5)
+            done = self._may_start(p[0] > 0.5) and logic.arm(p[0] > 0.5)
         elif command == mavlink.MAV_CMD_NAV_TAKEOFF:
             done = logic.take_off(p[6] - (self.home.altitude_msl if self.dialect.needs_setpoints else 0))
         elif command == mavlink.MAV_CMD_DO_CHANGE_SPEED:

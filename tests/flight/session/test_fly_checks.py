@@ -35,6 +35,7 @@ def hovering(seconds: float = 6.0, silent: frozenset[str] = frozenset()) -> Pilo
     r.sim.vehicle.body.wind_world[0] = 1.0  # exactly 0 is unknown
     r.sim.reports.silent |= silent
     r.up_and_flying(20.0)
+    r.sim.reports.sticks[2] = 1500  # a throttle that is down is a warning
     r.run(seconds)
     return r
 

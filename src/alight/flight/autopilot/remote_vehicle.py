@@ -110,6 +110,11 @@ class RemoteVehicle:
         """Whether we are in control: from our first order to a takeover."""
         return self._control.in_control
 
+    @property
+    def throttle_low(self) -> bool:
+        """Whether the pilot's throttle stick is below its middle, so that the vehicle would sink after a takeover."""
+        return self._state.sticks is not None and self._state.sticks[2] < 1300  # microseconds, the middle is 1500
+
     def place_at(self, t_ns: int) -> Place | None:
         """Return the autopilot's estimate of its position at an instant of our clock, extrapolated by its velocity.
 

@@ -280,7 +280,7 @@ class FlightSession:
             return ""
         if why := self._take_off(height):
             return f"take-off: {why}"
-        known = self._is_well(lambda: [self.check_motion()], lambda: self.taken)
+        known = self._is_well(self.check_climbed, lambda: self.taken)
         if self.taken:  # a landing would take control from somebody else
             return TAKEN
         return "" if known else f"the motion is not known after the take-off; {self.hold()}"
@@ -306,6 +306,11 @@ class FlightSession:
         found.append(preflight.judge_cameras(p.frames, p.rate(time.monotonic_ns()), p.delay, p.frozen))
         found += [bad("source", str(e), "see that it goes on") for e in self.failed]
         return [*found, self.check_motion()] if motion else found
+
+    def check_climbed(self) -> list[CheckResult]:
+        """Return the checks that are only possible after the climb: of the motion and of the throttle stick."""
+        with self.feed.lock:
+            return [self.check_motion(), *preflight.judge_throttle(self.vehicle)]
 
     def check_motion(self) -> CheckResult:
         """Check that the motion is known."""

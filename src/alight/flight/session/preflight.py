@@ -58,8 +58,18 @@ def judge_vehicle(
         _clock(vehicle), _streams(vehicle.missing_streams, vehicle.stream_rates), _estimator(vehicle, missing),
         _home(now, home_given),
         _battery(now, settings.executive.least_battery), _wind(now, settings.executive.most_wind),
-        _place(now, take_off, dry, 2.0 * settings.executive.commit_height),
+        _place(now, take_off, dry, 2.0 * settings.executive.commit_height), *judge_throttle(vehicle),
     ]  # fmt: skip
+
+
+def judge_throttle(vehicle: RemoteVehicle) -> list[CheckResult]:
+    """Check the pilot's throttle stick if the motors run."""
+    if not vehicle.telemetry.armed:
+        return []
+    if vehicle.throttle_low:
+        why = "its stick is down: after a takeover the vehicle would sink"
+        return [warning("throttle", why, "put the stick in the middle now; later its move is a takeover")]
+    return [good("throttle", "its stick is not down")]
 
 
 def _clock(vehicle: RemoteVehicle) -> CheckResult:

@@ -26,9 +26,11 @@ class TakeOff:
     @property
     def hint(self) -> str:
         """Action that a person must take now, in words; empty: no action."""
-        if self._vehicle.helicopter and self._step == "take off" and not self._lifted:
+        if self._step != "take off" or self.done:
+            return ""
+        if self._vehicle.helicopter and not self._lifted:
             return "switch on the motor interlock now: a helicopter that is armed without it is disarmed after 10 s"
-        return ""
+        return "put the throttle stick in the middle now" if self._vehicle.throttle_low else ""
 
     @property
     def _above(self) -> float:
