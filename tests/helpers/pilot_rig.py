@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from alight.flight.session.dry_run import VehicleCommands
 from alight.flight.session.pilot import LandingLog, LandingPilot, PilotView
+from alight.flight.session.take_off import TakeOff
 from alight.geometry import Pose
 from alight.pipeline import FlightPolicy
 from alight.pipeline.navigation import Navigation
@@ -110,6 +111,20 @@ class PilotRig(Rig, LandingLog):
         self.run(1.0)
         self._begun = self.t
         self.pilot.begin(self.now_ns, flying)
+
+    def take_off(self, height: float) -> TakeOff:
+        """Begin a take-off when the vehicle is ready; from now on, every step goes on with it."""
+        self.ready()
+        climb = TakeOff(self.vehicle, height, self.now_ns)
+
+        def tick() -> None:
+            climb.tick(self.now_ns)
+            for notice in self.heard[self._passed :]:
+                climb.on_notice(notice)
+            self._passed = len(self.heard)
+
+        self.each_step = tick
+        return climb
 
     def fly(self, until: FlightState, seconds: float = 400.0) -> bool:
         """Run until the executive is in a state; False: it never was."""

@@ -40,6 +40,7 @@ class Dialect:
     turns_to_course: bool  # whether it turns the nose along the course if no heading is commanded
     speeds_by_command: bool  # whether guided flight obeys DO_CHANGE_SPEED, until its controller restarts
     returns_at_disarm: bool  # whether disarming restores the last mode that allows arming
+    lift_off_delay: float  # s from the lift-off until the landed state reports it
     arms_with_throttle_down: bool  # whether it refuses to arm with the throttle stick above its lower end
     lands_in_guided: bool  # whether it detects the ground under position set-points too, not only under velocities
     dead_reckoning: float  # s for which its estimator keeps the position without the receiver
@@ -73,6 +74,7 @@ DIALECTS: Mapping[FirmwareName, Dialect] = {
         turns_to_course=True,
         speeds_by_command=True,
         returns_at_disarm=False,
+        lift_off_delay=3.3,  # measured in Copter 4.6.3
         arms_with_throttle_down=True,
         lands_in_guided=True,
         dead_reckoning=7.6,  # measured in Copter 4.6.3
@@ -95,6 +97,7 @@ DIALECTS: Mapping[FirmwareName, Dialect] = {
         turns_to_course=False,
         speeds_by_command=False,
         returns_at_disarm=True,  # since 1.14
+        lift_off_delay=0.0,
         arms_with_throttle_down=False,
         lands_in_guided=False,  # its land detector needs a velocity set-point
         dead_reckoning=5.0,  # EKF2_NOAID_TOUT

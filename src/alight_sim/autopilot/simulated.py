@@ -148,8 +148,9 @@ class SimulatedAutopilot:
 
     def hover(self, doing: Doing = Doing.HOLD) -> None:
         """Set the state after a take-off to the present position: armed, in flight, in mode `doing`."""
-        self.logic.armed, self.boot = True, _START_UP + 1.0
-        self.logic.step(self.boot, self.estimated, False)
+        self.boot = _START_UP + 1.0
+        self.logic.step(self.boot, self.estimated, False)  # before it is armed: it did not lift off just now
+        self.logic.armed = True
         self.logic.doing = Doing.TAKE_OFF
         self.logic.enter(doing, self.boot)
 

@@ -16,7 +16,7 @@ from made_up_ground import Ground, clearer_from_below
 from pilot_rig import PLACE, PilotRig, flying, raised
 from some_run import site, some_run
 
-from alight.checks.result import bad
+from alight.checks.result import bad, good
 from alight.cli import call
 from alight.cli.flown import facts
 from alight.flight.autopilot.firmware import ArduPilotFirmware
@@ -77,7 +77,7 @@ def session_of(
     run: Any = SimpleNamespace(live=live, finish=some_run)
     plan = FlightRequest("udp:x", "camera:0", Path("out"), Settings(), take_off=take_off)
     found = FlightSession(plan, feed, r.pilot, run, iter(()), SessionLog(lines.append), on_status)
-    monkeypatch.setattr(found, "check_all", lambda motion: [])
+    monkeypatch.setattr(found, "check_all", lambda motion: [good("link", "it is")])
     monkeypatch.setattr(found, "check_motion", lambda: bad("motion", "none is known yet", "wait"))
     return found
 
@@ -164,7 +164,9 @@ def test_the_wait_for_the_motion_ends_when_a_pilot_takes_over(monkeypatch: pytes
 
     session = session_of(r, monkeypatch, [], on_status, take_off=12.0)
     begun = r.t
-    assert session.fly(threading.Event()).why == TAKEN
+    outcome = session.fly(threading.Event())
+    assert outcome.why == TAKEN
+    assert [c.name for c in outcome.checks] == ["link", "motion", "throttle"]
     assert "take-off" in phases
     assert r.t - begun < 45.0
     t = r.t

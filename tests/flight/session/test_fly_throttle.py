@@ -17,9 +17,7 @@ S = FlightState
 def climbing() -> tuple[PilotRig, TakeOff]:
     """Return a rig that has climbed 3 m of 12."""
     r = PilotRig(Ground({}).seen)
-    r.ready()
-    climb = TakeOff(r.vehicle, 12.0, r.now_ns)
-    r.each_step = lambda: climb.tick(r.now_ns)
+    climb = r.take_off(12.0)
     assert r.run(30, lambda: r.sim.estimated[2] > 3.0)
     return r, climb
 

@@ -249,8 +249,9 @@ class FlightSession:
         except BaseException as e:  # the executive notices that pictures or motions do not come, and gives up
             self.failed.append(e)
 
-    def _on_step(self, phase: str, view: PilotView | None = None) -> None:
-        for notice in self._listen():
+    def _on_step(self, phase: str, view: PilotView | None = None) -> list[Notice]:
+        notices = self._listen()
+        for notice in notices:
             if notice.kind in UNEXPECTED or not notice.ok:
                 self.log.note("autopilot", notice.text)
         if (now := time.monotonic()) - self.shown > SHOW_EVERY:
@@ -260,6 +261,7 @@ class FlightSession:
             if self.log.recorder is not None:
                 self.log.recorder.telemetry(time.monotonic_ns(), reports)
             self.on_status(FlightStatus(phase, self.found, view, reports, self.run.live.health))
+        return notices
 
     def _listen(self) -> list[Notice]:
         self.feed.flush()
@@ -286,12 +288,17 @@ class FlightSession:
         return "" if known else f"the motion is not known after the take-off; {self.hold()}"
 
     def _is_well(self, checks: Callable[[], list[CheckResult]], over: Callable[[], bool] = lambda: False) -> bool:
-        """Repeat the checks until no result is bad, `over()` is true or time is up; return whether no result is bad."""
-        begin = time.monotonic()
+        """Repeat the checks until no result is bad, `over()` is true or time is up; return whether no result is bad.
+
+        Results of earlier checks are kept, unless one of the same name replaces them.
+        """
+        begin, before = time.monotonic(), self.found
         while True:
-            self.found = checks()
+            found = checks()
+            names = {c.name for c in found}
+            self.found = [*(c for c in before if c.name not in names), *found]
             self._on_step("checks")
-            verdicts, waited = {c.verdict for c in self.found}, time.monotonic() - begin
+            verdicts, waited = {c.verdict for c in found}, time.monotonic() - begin
             well = Judged.BAD not in verdicts
             settled = waited > SETTLED or Judged.WARNING not in verdicts
             if (well and settled) or waited > PATIENCE or over():
@@ -326,7 +333,8 @@ class FlightSession:
             if hint and hint != shown:
                 shown = hint
                 self.log.note("take-off", hint)
-            self._on_step("take-off")
+            for notice in self._on_step("take-off"):
+                climb.on_notice(notice)
             time.sleep(STEP)
         return climb.failed
 
