@@ -7,6 +7,7 @@ import logging
 import os
 import select
 import socket
+import struct
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -94,6 +95,14 @@ class Link:
                 self._break(e)
                 return False
         return True
+
+    def reopen(self) -> None:
+        """Close the port, with all that waits in it to be sent, and open it again later; called by the reading thread.
+
+        A connection that stalls would deliver old orders when it goes on.
+        """
+        self._break(ConnectionResetError("the vehicle is silent"))
+        self._let_go()
 
     def close(self) -> None:
         """Close the link for good."""
@@ -207,6 +216,8 @@ class _TcpServer:
             self._resolved = list(dict.fromkeys((str(a[4][0]), int(a[4][1])) for a in found))
         opened = self._connected(2.0 if first else 0.5)  # s; nobody reads the link meanwhile
         opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        at_once = struct.pack("ii", 1, 0)  # closing drops what waits to be sent, as in `_StreamPort.close`
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, at_once)
         opened.setblocking(False)
         return _StreamPort(opened, opened.recv, opened.send, "the other side has closed the connection")
 

@@ -275,6 +275,8 @@ class RemoteVehicle:
 
     def _note_lost(self, why: str) -> None:
         if why:
+            self.release()
+            self._commands.drop(everything=True)  # nothing old must be sent when it is back
             self._note(NoticeKind.LINK_LOST, why, ok=False)
 
     # messages

@@ -41,6 +41,7 @@ class TelemetryFeed:
         self._samples: queue.Queue[Event] = queue.Queue()
         self._sending = threading.Lock()  # orders are sent at once, without waiting for the listener
         self._ended, self._located = threading.Event(), False
+        self._alive = True  # whether the vehicle was not lost when the listener looked last
         self._trouble = ""  # the newest error of the listener
         threading.Thread(target=self._listen, daemon=True).start()
 
@@ -120,6 +121,9 @@ class TelemetryFeed:
                 self.autopilot.receive(data, time.monotonic_ns())
             self.autopilot.tick(time.monotonic_ns())
             samples = self.autopilot.samples()
+            was_alive, self._alive = self._alive, self.autopilot.vehicle is None or self.autopilot.vehicle.alive
+        if was_alive and not self._alive:
+            self.link.reopen()
         self._send()
         for sample in samples:
             self._located |= isinstance(sample, NavSample) and sample.position_world is not None

@@ -35,6 +35,7 @@ SHOW_EVERY = 0.2  # s between two statuses, and two recorded reports of the auto
 USUAL_RATE = 5.0  # exposures per second, assumed before the first has come
 UNEXPECTED = (NoticeKind.TAKEOVER, NoticeKind.REBOOT, NoticeKind.LINK_LOST, NoticeKind.LINK_BACK, NoticeKind.TEXT)
 TAKEN = "somebody else flies now: nothing is sent to the vehicle any more"
+SILENT = "the vehicle is silent: nothing is sent to it any more"
 LANDS = "the vehicle lands where it is, as the autopilot has refused to hold"
 UNCONFIRMED = "the vehicle was ordered to hold and has not confirmed it: take over"
 REFUSED = "the checks before the flight found something bad"
@@ -219,6 +220,11 @@ class FlightSession:
         """Whether we are not in control: not yet, or no longer."""
         return not self.pilot.in_control
 
+    @property
+    def loss(self) -> str:
+        """Reason why we are not in control any more, in words."""
+        return TAKEN if self.vehicle.alive else SILENT
+
     def fly(self, over: threading.Event) -> FlightOutcome:
         """Check, take off and land; return the outcome. `over` is set when the landing has ended, to end the events."""
         self.run.live.wait_until_ready()
@@ -284,7 +290,7 @@ class FlightSession:
             return f"take-off: {why}"
         known = self._is_well(self.check_climbed, lambda: self.taken)
         if self.taken:  # a landing would take control from somebody else
-            return TAKEN
+            return self.loss
         return "" if known else f"the motion is not known after the take-off; {self.hold()}"
 
     def _is_well(self, checks: Callable[[], list[CheckResult]], over: Callable[[], bool] = lambda: False) -> bool:
@@ -367,7 +373,7 @@ class FlightSession:
         if self.plan.dry_run:
             return "nothing was sent to the vehicle"
         if self.taken:
-            return TAKEN
+            return self.loss
         end = time.monotonic() + 6.0  # for a heartbeat before the order, one after it, and a lost packet
         while not (held := self._holds()) and not self.taken and time.monotonic() < end:
             time.sleep(STEP)
@@ -376,7 +382,7 @@ class FlightSession:
         with self.feed.lock:
             self.vehicle.release()
         if taken:
-            return TAKEN
+            return self.loss
         lands = self.pilot.orders.stop_mode is FlightMode.LAND
         return UNCONFIRMED if not held else LANDS if lands else "the vehicle holds its place"
 
