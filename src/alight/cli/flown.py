@@ -157,8 +157,9 @@ def fly(o: FlyOptions) -> None:
         print_line(f"{words.get(outcome.state, 'ENDED')}  {outcome.why}")
     if outcome.result is None:
         raise typer.Exit(ExitCode.FAULT_FOUND)
-    save_result(outcome.result, o.out, o.force)
-    if not o.dry_run and outcome.state is not FlightState.LANDED:
+    landed = outcome.state is FlightState.LANDED and not o.dry_run
+    save_result(outcome.result, o.out, o.force, not landed)
+    if not (landed or o.dry_run):
         raise typer.Exit(ExitCode.NOT_LANDED)
 
 

@@ -21,7 +21,18 @@ from alight.flight.session.pilot import LandingPilot, PilotView, SessionLog
 from alight.flight.session.take_off import TakeOff
 from alight.outputs import prepare_folder
 from alight.pipeline import FlightPolicy
-from alight.records import Event, FlightMode, Frame, Home, InputError, Notice, NoticeKind, RunResult, Telemetry
+from alight.records import (
+    Event,
+    FlightMode,
+    Frame,
+    Home,
+    InputError,
+    Notice,
+    NoticeKind,
+    RunResult,
+    Telemetry,
+    p_safe_text,
+)
 from alight.records.executive import FlightState
 from alight.runs import flown_home, with_home
 from alight.settings import Settings
@@ -391,11 +402,18 @@ class FlightSession:
             ordered = self.pilot.stop(time.monotonic_ns())
             return ordered and self.vehicle.alive and self.vehicle.telemetry.mode is self.pilot.orders.stop_mode
 
+    def _landing_place(self) -> str:
+        place, last = self.vehicle.telemetry.place, self.pilot.diary.transitions[-1]
+        at = "" if place is None else f", at {place.latitude:.7f} {place.longitude:.7f}"
+        return at if last.p_safe is None else f"{at}, P(safe) {p_safe_text(last.p_safe)}"
+
     def _outcome(self, stopped: str) -> FlightOutcome:
         pilot, plan = self.pilot, self.plan
         ended, why = pilot.diary.end or (pilot.state, "")
         why = f"ended by the user; {stopped}" if stopped else why
         found = self.run.finish()
+        if ended is FlightState.LANDED:  # the answer is where it stands; other sites, and a route, mislead
+            why, found = f"{why}{self._landing_place()}", replace(found, route=None)
         result = replace(
             with_home(found, flown_home(plan.home, self.vehicle.telemetry, plan.separation)), diary=pilot.diary,
             timings={**found.timings, **{k: list(v) for k, v in pilot.delays.items() if v}},
