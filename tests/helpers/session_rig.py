@@ -35,7 +35,11 @@ class Clock:
 
 
 def session_of(
-    r: PilotRig, monkeypatch: pytest.MonkeyPatch, lines: list[str], on_status: Any = lambda status: None, take_off: float | None = None
+    r: PilotRig,
+    monkeypatch: pytest.MonkeyPatch,
+    lines: list[str],
+    on_status: Any = lambda status: None,
+    take_off: float | None = None,
 ) -> FlightSession:
     """Return the session of `alight fly` around the rig's vehicle, in the rig's time, without lanes and files."""
     r.ticks = False

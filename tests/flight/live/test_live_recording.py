@@ -365,6 +365,18 @@ def test_a_burst_of_late_exposures_is_left_out_and_no_jump() -> None:
     assert all(s is None or abs(s * 1e-9 - x) < 1e-6 for s, x in zip(found, t, strict=True))
 
 
+@pytest.mark.parametrize(("pace", "taken_for_a_jump"), [(0.1, False), (0.19, True)])
+def test_a_backlog_that_is_caught_up_with_shifts_no_clock(pace: float, taken_for_a_jump: bool) -> None:
+    """After 5 s without pictures one comes each `pace` seconds: their clock was shifted by 3 s for ever."""
+    t = np.arange(0.0, 200.0, 0.2)
+    arrivals = np.maximum(t, np.where(t > 5.0, 10.0 + pace * (t - 5.0) / 0.2, t)) + 0.02
+    found = feed(StreamClock("frames", lambda words: None), t, arrivals)
+    kept = np.array([k for k, s in enumerate(found) if s is not None])
+    off = np.array([found[k] for k in kept]) * 1e-9 - t[kept]
+    assert (np.abs(off) > 1e-6).any() == taken_for_a_jump
+    np.testing.assert_allclose(off[arrivals[kept] - t[kept] < 0.03], 0.0, atol=1e-6)
+
+
 def test_delays_of_300_ms_are_none_of_its_business() -> None:
     rng, t = np.random.default_rng(5), np.arange(0.0, 10.0, 0.1)
     found = feed(StreamClock("frames", pytest.fail), t, t + rng.uniform(0.0, 0.3, len(t)))

@@ -3,12 +3,14 @@
 Stamps come from the sensors; arrival times only serve to find jumps of a clock. A stamp precedes its arrival by a
 delay that varies little. A stamp that is ahead of this delay by more than `JUMP` is a jump of the clock, as no event
 comes from the future. An event whose stamp is behind by more is late and dropped. If a stream stays behind for two
-seconds, its clock has jumped back. A jump is subtracted from all later stamps, so that time is continuous.
+seconds and does not catch up, its clock has jumped back. A jump is subtracted from all later stamps, so that time is
+continuous; if the stream catches up later, it was late after all, and the correction is taken back.
 """
 
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -17,6 +19,7 @@ from alight.records import Event, Frame, ImuSample, NavSample
 log = logging.getLogger(__name__)
 
 JUMP = 1.0  # s, more than any expected variation of the delay
+USUAL = 30.0  # s, over which the least delay counts as the usual one: a backlog has longer delays only
 
 STREAMS: dict[type, str] = {Frame: "frames", NavSample: "GPS/INS rows", ImuSample: "IMU rows"}
 
@@ -33,8 +36,10 @@ class StreamClock:
     on_jump: Callable[[str], None]
     late: int = 0  # number of dropped events
     _shift_ns: int = 0  # added to all stamps
-    _ahead: float | None = None  # s, stamp minus arrival of the last event on time
+    _ahead: deque[tuple[float, float]] = field(default_factory=deque)  # s, (arrival, stamp minus arrival) of events on
+    # time in the last `USUAL` seconds, each followed by smaller ones only; so the first is the largest
     _behind: list[tuple[float, float]] = field(default_factory=list)  # s, (arrival, delay) of late events
+    _back: float = 0.0  # s, part of the shift that is due to jumps back
 
     def stamp(self, t_ns: int, arrival: float) -> int | None:
         """Return a stamp corrected for all jumps of the clock; None: the event is late and must be dropped.
@@ -44,21 +49,42 @@ class StreamClock:
             arrival: arrival of the event by a steady clock, s.
         """
         ahead = 1e-9 * (t_ns + self._shift_ns) - arrival
-        if self._ahead is None:
-            self._ahead = ahead
-        off = ahead - self._ahead
+        off = ahead - self._ahead[0][1] if self._ahead else 0.0
+        if off > 0.0 and self._back > 0.0:  # it was late, and catches up
+            caught = min(off, self._back)
+            self._shift_ns -= round(caught * 1e9)
+            self._back, off, ahead = self._back - caught, off - caught, ahead - caught
         if off > JUMP:
             self._take_out(off)
         elif off < -JUMP:
-            self._behind.append((arrival, off))
-            if arrival - self._behind[0][0] < 2.0:
+            if not self._has_jumped_back(arrival, off):
                 self.late += 1
                 return None
-            self._take_out(max(by for _, by in self._behind))
+            jump = max(by for _, by in self._behind)
+            self._back -= jump
+            self._take_out(jump)
         else:
-            self._ahead = ahead
+            self._note(arrival, ahead)
         self._behind.clear()
         return t_ns + self._shift_ns
+
+    def _note(self, arrival: float, ahead: float) -> None:
+        while self._ahead and self._ahead[-1][1] <= ahead:
+            self._ahead.pop()
+        self._ahead.append((arrival, ahead))
+        while self._ahead[0][0] < arrival - USUAL:
+            self._ahead.popleft()
+
+    def _has_jumped_back(self, arrival: float, off: float) -> bool:
+        """Whether the stream is behind for two seconds, in which it has caught up by less than a quarter of them."""
+        self._behind.append((arrival, off))
+        begun, off_then = self._behind[0]
+        if arrival - begun < 2.0:
+            return False
+        catches_up = off - off_then > 0.25 * (arrival - begun)
+        if catches_up:
+            self._behind = [(arrival, off)]
+        return not catches_up
 
     def _take_out(self, jump: float) -> None:
         self._shift_ns -= round(jump * 1e9)
