@@ -21,7 +21,7 @@ from alight.records import Frame, Motion, MotionState
 from alight.records.executive import FlightEvent, FlightState, LookRecord, MapVerdict, Order, Situation, Transition
 from alight.records.telemetry import FirmwareName
 from alight.settings import load_settings
-from alight_sim.autopilot import EstimateError
+from alight_sim.autopilot import PX4_CONTROLLER, EstimateError
 from alight_sim.autopilot.dialects import Doing
 from alight_sim.point_mass import FlightLimits, PointMass
 
@@ -60,7 +60,8 @@ class PilotRig(Rig, LandingLog):
         **more: Any,
     ) -> None:  # fmt: skip
         # it leans in 0.1 s, as a real one: over a slow link targets are turned by the attitude of another moment
-        more = {"vehicle": PointMass(FlightLimits(lag=0.1)), **more}
+        limits = PX4_CONTROLLER if dialect == "px4" else FlightLimits(lag=0.1)
+        more = {"vehicle": PointMass(limits), **more}
         super().__init__(dialect, step=step, estimate=EstimateError(WRONG), **more)
         self.see, self.settings = see, load_settings("", ["executive.search_side=60", *settings])
         self._pilot: LandingPilot | None = None

@@ -10,6 +10,8 @@ from enum import Enum
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from alight.records.telemetry import FirmwareName
+from alight_sim.point_mass import FlightLimits
+from alight_sim.vehicle import GRAVITY
 
 
 class Doing(Enum):
@@ -56,6 +58,10 @@ class Dialect:
         return {pair: doing for doing, pair in self.modes.items()}.get((round(parameters[1]), round(parameters[2])))
 
 
+PX4_CONTROLLER = FlightLimits(  # PX4's position controller: MPC_TILTMAX_AIR is its only limit of the acceleration
+    speed=12.0, climb=3.0, sink=1.5, acceleration=GRAVITY * math.tan(math.radians(45.0)), reaction=1.0 / 1.8,
+    approach=0.95, lag=0.1,
+)  # fmt: skip
 DIALECTS: Mapping[FirmwareName, Dialect] = {
     "ardupilot": Dialect(
         mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,

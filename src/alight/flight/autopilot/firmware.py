@@ -64,6 +64,16 @@ class Firmware(ABC):
         A nearer set-point slows the vehicle down. `upright`: whether the distance is vertical, else level.
         """
 
+    def ahead(self, way: F64, speed: float, velocity: F64) -> F64:
+        """Return the vector, (2,) metres east and north, from the vehicle to the set-point to send now.
+
+        Args:
+            way: (2,) metres east and north, from the vehicle to its target.
+            speed: ordered, m/s.
+            velocity: (2,) m/s, of the vehicle; NaN: unknown.
+        """
+        return way * min(1.0, self.reach(speed, False) / max(math.hypot(*way), 1e-6))
+
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
         """Return the LANDING_TARGET message of a target; None: this firmware uses no targets.
 
@@ -169,6 +179,7 @@ class Px4Firmware(Firmware):
         FlightMode.RETURN: (4.0, 5.0),
         FlightMode.LAND: (4.0, 6.0),
     }
+    _gain = 0.95  # 1/s: MPC_XY_P; the vertical gain, MPC_Z_P, is 1.0
     _main = ("0", "MANUAL", "ALTCTL", "POSCTL", "AUTO", "ACRO", "OFFBOARD", "STABILIZED", "RATTITUDE")
     _auto = ("0", "READY", "TAKEOFF", "LOITER", "MISSION", "RTL", "LAND", "7", "FOLLOW", "PRECLAND")
 
@@ -185,7 +196,23 @@ class Px4Firmware(Firmware):
 
     def reach(self, speed: float, upright: bool) -> float:
         """Return the distance, m, to a set-point for flight at `speed`, by the position gain; see `Firmware.reach`."""
-        return speed / 0.95  # 1/s: MPC_XY_P; the vertical gain, MPC_Z_P, is 1.0
+        return speed / self._gain
+
+    def ahead(self, way: F64, speed: float, velocity: F64) -> F64:
+        """Return the vector to the set-point that changes the velocity by at most 1 m/s; see `Firmware.ahead`.
+
+        PX4 flies at the velocity v = gain * distance, and accelerates by 1.8 / s (MPC_XY_VEL_P_ACC) times the change of
+        v without any other limit than MPC_TILTMAX_AIR. So 1 m/s is a tilt of 10 degrees. The vehicle brakes at 1.2
+        m/s^2, by the law of ArduPilot's controller.
+        """
+        away, braking = math.hypot(*way), 1.2
+        near = braking / self._gain**2
+        law = self._gain * away if away < near else math.sqrt(2 * braking * (away - near / 2))
+        wanted = way * (min(speed, law) / max(away, 1e-6))
+        change = wanted - velocity
+        if not np.isfinite(change).all():
+            return wanted / self._gain
+        return (velocity + change * min(1.0, 1.0 / max(math.hypot(*change), 1e-6))) / self._gain
 
 
 FIRMWARES: Mapping[int, type[Firmware]] = {

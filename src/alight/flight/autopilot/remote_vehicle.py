@@ -246,8 +246,9 @@ class RemoteVehicle:
         return sent is not None
 
     def _aim(self, target: Target) -> None:
-        self._guidance.aim(target, self.place_at(self._now_ns) or self._state.newest.place, self._now_ns)
-        if self._state.newest.mode is FlightMode.GUIDED:
+        now = self._state.newest
+        self._guidance.aim(target, self.place_at(self._now_ns) or now.place, now.velocity_world, self._now_ns)
+        if now.mode is FlightMode.GUIDED:
             self._guidance.keep_speeds(self._timeouts.t_ns)
 
     # time
