@@ -78,7 +78,7 @@ class Situation:
     frozen: bool = False  # whether new pictures are bit-identical repetitions
     height: float | None = None  # metres, height above ground; None: unknown
     link: bool = True  # whether the autopilot sends reports
-    failsafe: bool = False  # whether the autopilot is in a critical state: its own failsafe flies, not a pilot
+    failsafe: str = ""  # failsafe of the autopilot that flies instead of a pilot, in words; empty: none
     pilot: bool = False  # whether someone else flies
     contact: bool = False  # whether the autopilot has reported the ground for half a second, motors on or off
     standing: bool = False  # whether the vehicle is on the ground with motors off

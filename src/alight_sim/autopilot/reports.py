@@ -58,8 +58,9 @@ class Reports:
                 self._due[name] = max(self._due[name] + interval, t)
                 if (made := self.makers[name](now)) is not None:
                     now.send(made)
+        severity = mavlink.MAV_SEVERITY_WARNING if now.logic.failsafe else mavlink.MAV_SEVERITY_INFO
         for text in now.logic.texts:
-            now.send(mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_INFO, text.encode()))
+            now.send(mavlink.MAVLink_statustext_message(severity, text.encode()))
         now.logic.texts.clear()
 
 

@@ -16,7 +16,7 @@ from alight.flight.autopilot.firmware import ArduPilotFirmware, Px4Firmware
 from alight.flight.session.orders import Contact
 from alight.geometry import Pose
 from alight.records import FlightMode, Landed, Motion, MotionState, Telemetry
-from alight.records.executive import FlightEvent, FlightState, Order
+from alight.records.executive import FlightState, Order
 from alight_sim.autopilot.dialects import Doing
 from alight_sim.point_mass import FlightLimits, PointMass
 
@@ -310,13 +310,3 @@ def test_set_points_end_when_the_vehicle_is_disarmed_on_the_ground() -> None:
     t = r.t
     r.run(3.0)
     assert not r.moving_since(t)
-
-
-@BOTH
-def test_a_failsafe_is_not_called_a_pilot(dialect: str) -> None:
-    r = flying(dialect)
-    assert r.fly(S.LOOK)
-    r.sim.logic.failsafe = True
-    r.sim.pilot(Doing.RETURN)
-    assert r.fly(S.HANDED_OVER, 5.0)
-    assert r.events[-1] is FlightEvent.FAILSAFE

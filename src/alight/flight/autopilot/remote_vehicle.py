@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
@@ -26,10 +27,11 @@ _FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer is no evidence
 
 
 class StatusText(NamedTuple):
-    """A text of the autopilot; `ok` is False for errors."""
+    """A text of the autopilot; `ok` is False for errors, `warns` is True for warnings and errors."""
 
     text: str
     ok: bool
+    warns: bool
 
 
 class TextJoiner:
@@ -48,7 +50,8 @@ class TextJoiner:
         if self._pieces and message.chunk_seq < self._next:
             return over  # it came twice
         self._number, self._next, self._since_ns = message.id, message.chunk_seq + 1, now_ns
-        self._pieces.append(StatusText(str(message.text), message.severity > mavlink.MAV_SEVERITY_ERROR))
+        ok, warns = message.severity > mavlink.MAV_SEVERITY_ERROR, message.severity <= mavlink.MAV_SEVERITY_WARNING
+        self._pieces.append(StatusText(str(message.text), ok, warns))
         return over + (self._joined() if not message.id or len(message.text) < 50 else [])
 
     def overdue(self, now_ns: int) -> list[StatusText]:
@@ -57,7 +60,9 @@ class TextJoiner:
 
     def _joined(self) -> list[StatusText]:
         pieces, self._pieces = self._pieces, []
-        return [StatusText("".join(p.text for p in pieces), all(p.ok for p in pieces))] if pieces else []
+        if not pieces:
+            return []
+        return [StatusText("".join(p.text for p in pieces), all(p.ok for p in pieces), pieces[0].warns)]
 
 
 class Displacement(NamedTuple):
@@ -91,6 +96,8 @@ class RemoteVehicle:
         self._streams = StreamKeeper(wanted, self._commands)
         self._guidance = Guidance(firmware, address, send, self._commands)
         self._now_ns = 0
+        self._warnings = deque[tuple[int, str]](maxlen=5)  # our clock, and the text
+        self._taken_by_failsafe = False
         self.starts = 1  # number of the autopilot's boots so far
 
     # reports
@@ -109,6 +116,12 @@ class RemoteVehicle:
     def in_control(self) -> bool:
         """Whether we are in control: from our first order to a takeover."""
         return self._control.in_control
+
+    @property
+    def failsafe(self) -> str:
+        """Failsafe of the autopilot that ended our control, by its warnings of the last 2 s; empty: none did."""
+        recent = [text for t_ns, text in self._warnings if self._now_ns - t_ns < 2_000_000_000]
+        return ("; ".join(recent) or "its state is critical") if self._taken_by_failsafe else ""
 
     @property
     def throttle_low(self) -> bool:
@@ -302,7 +315,7 @@ class RemoteVehicle:
         if name == "HEARTBEAT":
             self._on_heartbeat()
         elif name == "RC_CHANNELS" and self._state.sticks is not None:
-            self._on_takeover(self._control.sticks(self._state.sticks))
+            self._on_takeover(self._control.sticks(self._state.sticks), failsafe=False)
         return accepted
 
     def _on_handshake(self, name: str, m: Any) -> None:
@@ -335,16 +348,18 @@ class RemoteVehicle:
         now, before = self._state.newest, self._control.mode_name
         unanswered, on_ground = self._commands.waiting_modes(), self._state.is_on_ground(self._now_ns)
         why = self._control.mode(now.mode, now.mode_name, self._timeouts.t_ns, unanswered, on_ground, now.armed)
-        self._on_takeover(why)
+        self._on_takeover(why, now.failsafe)
         if before != now.mode_name:
             self._guidance.forget_speeds()
             if not why:
                 self._note(NoticeKind.MODE, now.mode_name, mode=now.mode)
 
-    def _on_takeover(self, why: str) -> None:
+    def _on_takeover(self, why: str, failsafe: bool) -> None:
         if why:
             self.release()
-            self._note(NoticeKind.TAKEOVER, why, ok=False, mode=self._state.newest.mode)
+            self._taken_by_failsafe = failsafe
+            text = f"a failsafe of the autopilot: {why}" if failsafe else why
+            self._note(NoticeKind.TAKEOVER, text, ok=False, mode=self._state.newest.mode)
 
     def _on_answers(self, answers: Iterable[CommandAnswer]) -> None:
         for answer in answers:
@@ -355,5 +370,6 @@ class RemoteVehicle:
                 self._note(NoticeKind.COMMAND, answer.text, answer.ok, ticket=answer.ticket)
 
     def _note_texts(self, texts: list[StatusText]) -> None:
+        self._warnings += [(self._now_ns, t.text) for t in texts if t.warns]
         for text in texts:
             self._note(NoticeKind.TEXT, text.text, ok=text.ok)

@@ -143,7 +143,7 @@ class Executive:
         if not now.link:  # before the pilot: control is given away with the link
             return E.LINK_LOST, "no heartbeat"
         if now.pilot:
-            return (E.FAILSAFE, "") if now.failsafe else (E.PILOT, "the mode was changed, or the sticks were moved")
+            return (E.FAILSAFE, now.failsafe) if now.failsafe else (E.PILOT, "by the mode, or by the sticks")
         if self.state is S.RETURN:
             return None, ""
         # without a position the autopilot soon lands by its own failsafe: a climb would only make its way down longer

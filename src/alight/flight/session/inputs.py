@@ -169,7 +169,7 @@ class LandingInputs:
             self.pictures.age(now_ns),
             self.pictures.frozen > 0,
             link=self._vehicle.alive and not rebooted,
-            failsafe=reports.failsafe,
+            failsafe=self._vehicle.failsafe,
             pilot=self._flying and not in_control and not rebooted,
             contact=reports.has_contact,
             standing=reports.is_down,

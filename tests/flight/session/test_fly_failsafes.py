@@ -1,4 +1,4 @@
-"""GPS that is lost: going down beats climbing without a position, and a refused hold leads down a ladder."""
+"""Lost GPS, refused holds, failsafes: down beats a climb without a position, and each end has its own name."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 from length import EITHER, in_turn
 from pilot_rig import PilotRig, flying
 
-from alight.records import MotionState
+from alight.records import MotionState, NoticeKind
 from alight.records.executive import FlightEvent, FlightState
 from alight_sim.autopilot.dialects import Doing
 
@@ -104,3 +104,34 @@ def test_after_hold_and_land_were_refused_nothing_is_ordered(dialect: str) -> No
     assert not r.moving_since(t + 2 * r.dt)
     assert "nothing: hold and land were refused" in r.orders
     assert r.fly(S.HANDED_OVER, 15.0)
+
+
+# -- failsafes of the autopilot
+
+FAILSAFES = [
+    ("ardupilot", Doing.RETURN, ("Battery 1 is low 10.30V used 900 mAh", "Battery Failsafe")),
+    ("ardupilot", Doing.LAND, ("EKF Failsafe: changed to LAND Mode",)),
+    ("px4", Doing.PILOT, ("Failsafe activated",)),
+    ("px4", Doing.RETURN, ()),
+]
+
+
+@pytest.mark.parametrize(("dialect", "doing", "texts"), FAILSAFES)
+def test_a_failsafe_is_called_by_its_name(dialect: str, doing: Doing, texts: tuple[str, ...]) -> None:
+    r = flying(dialect)
+    assert r.fly(S.LOOK)
+    r.sim.fail_safe(doing, *texts)
+    assert r.fly(S.HANDED_OVER, 5.0)
+    last = r.pilot.diary.transitions[-1]
+    assert (last.event, last.reason) == (E.FAILSAFE, "; ".join(texts) or "its state is critical")
+    assert "failsafe" in r.of(NoticeKind.TAKEOVER)[-1].text
+
+
+def test_a_pilot_who_moves_a_stick_in_a_critical_state_is_a_pilot() -> None:
+    r = flying()
+    assert r.fly(S.LOOK)
+    r.sim.logic.failsafe = True
+    r.run(1.5)
+    r.sim.reports.sticks = [1500, 1900, 1100, 1500]
+    assert r.fly(S.HANDED_OVER, 3.0)
+    assert r.events[-1] is E.PILOT
