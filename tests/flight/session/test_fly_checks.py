@@ -166,6 +166,7 @@ def test_pictures_of_an_earlier_flight_are_not_used() -> None:
     pictures = [Frame(now - age, (np.full((2, 2), k, np.uint8),), "x") for k, age in enumerate(ages)]
     assert [watch.fresh(p, now) is not None for p in pictures] == [False, False, False, True, True]
     assert watch.frames == 5
+    assert watch.rate(now) == pytest.approx(2 / 3)
 
 
 def test_a_vehicle_on_the_ground_needs_a_take_off() -> None:

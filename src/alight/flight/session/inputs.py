@@ -42,10 +42,10 @@ class PictureWatch:
         exposure, as the gap before it would look like a jump of the camera's clock.
         """
         self.frames, self.delay = self.frames + 1, (now_ns - frame.t_ns) * 1e-9
-        self._arrivals.append(now_ns * 1e-9)
         self._begun = self._begun or self.delay < 1.0
         if not self._begun:
             return None
+        self._arrivals.append(now_ns * 1e-9)
         small = {cam: np.asarray(i)[::4, ::4].copy() for cam, i in enumerate(frame.images) if i is not None}
         repeated = {cam for cam, i in small.items() if cam in self._last and np.array_equal(i, self._last[cam])}
         self._last.update(small)
@@ -59,7 +59,7 @@ class PictureWatch:
         return replace(frame, images=tuple(None if cam in repeated else i for cam, i in enumerate(frame.images)))
 
     def rate(self, now_ns: int) -> float:
-        """Return the number of exposures per second, over the last three seconds."""
+        """Return the number of exposures per second, over the last three seconds, without those before the flight."""
         return sum(now_ns * 1e-9 - t < 3.0 for t in tuple(self._arrivals)) / 3.0
 
     def age(self, now_ns: int) -> float:
