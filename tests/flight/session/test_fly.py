@@ -210,6 +210,7 @@ def test_a_vehicle_that_is_blown_off_the_place_is_led_back_above_it(dialect: str
     assert r.doing is Doing.LAND
     r.sim.vehicle.position[0] += 1.5
     assert r.run(5.0, lambda: r.doing is Doing.GUIDED)
+    assert sum("the descent waits" in x for x in r.orders) == 1
     low = r.sim.vehicle.position[2]
     assert r.run(20.0, lambda: r.doing is Doing.LAND)
     assert r.sim.vehicle.position[2] > low - 0.3

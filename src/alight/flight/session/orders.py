@@ -229,7 +229,11 @@ class OrderSender:
             return "land" if stays else self._lost(motion, now_ns)
         self._site_above = site.goal.above_home
         if not order.down:
-            return self._go(over, order, motion, now_ns)
+            action = self._go(over, order, motion, now_ns)
+            if lands and self._mode is FlightMode.GUIDED:
+                beside = math.hypot(site.way[0], site.way[1])
+                self._warn(f"the descent waits {-site.way[2]:.1f} m above the site, {beside:.1f} m beside it")
+            return action
         if self._is_high and not lands:
             over = np.array([*place[:2], place[2] - 1.5])  # below the site
             if not self._contact.is_felt(-float(site.way[2]), order.sink, self._vehicle.telemetry, now_ns):
