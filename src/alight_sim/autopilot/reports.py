@@ -33,6 +33,7 @@ class Reports:
         self._due: dict[str, float] = {}
         self._heartbeat, self._mode = 0.0, 0  # s, when the next heartbeat is due; custom mode of the last one
         self.sticks = [1500, 1500, 1100, 1500]
+        self.measures_wind = True  # False: like a Copter without EK3_DRAG_..., whose WIND is always 0
         self.lacks = set(lacks)  # messages that this build cannot send
         self.silent: set[str] = set()  # messages that it could send, but for which it has no data
         self.makers: dict[str, Maker] = dict(MAKERS)
@@ -169,6 +170,8 @@ def _estimator_status(now: SimulatedAutopilot) -> Any:
 
 
 def _wind(now: SimulatedAutopilot) -> Any:
+    if not now.reports.measures_wind:
+        return mavlink.MAVLink_wind_message(-180.0, 0.0, 0.0)
     north, east, down = _SWAP @ now.vehicle.wind_world
     return mavlink.MAVLink_wind_message(math.degrees(math.atan2(-east, -north)), math.hypot(north, east), down)
 

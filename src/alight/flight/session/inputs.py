@@ -11,11 +11,13 @@ import numpy as np
 
 from alight.arrays import F64, U8
 from alight.flight.autopilot import RemoteVehicle
+from alight.flight.session.wind import WindWatch
 from alight.geometry import LocalFrame
 from alight.pipeline import Verdict
 from alight.records import FlightMode, Frame, Motion, MotionState, Telemetry
 from alight.records.executive import MapVerdict, Situation
 
+WIND_KNOWN = 2.0  # m/s, 1-sigma up to which an estimated wind is used
 SILENT = 20.0  # s without a report, after which a battery that was reported is unknown
 
 
@@ -100,6 +102,7 @@ class LandingInputs:
     ) -> None:
         self._vehicle, self._local, self._stale, self._note = vehicle, local, stale, note
         self.pictures, self._battery = PictureWatch(), BatteryWatch()
+        self.wind_watch, self._wind_noted = WindWatch(), False
         self.motion: Motion | None = None  # of the newest tracked exposure
         self.verdict: MapVerdict | None = None  # the newest
         self.verdict_ns = 0  # stamp of the newest exposure in its map
@@ -157,7 +160,7 @@ class LandingInputs:
             self._note("autopilot", f"its estimator has {'a' if located else 'no'} position on Earth")
         self._had_position = located
         self._flying |= in_control
-        known, wind = state in (MotionState.GOOD, MotionState.DEGRADED), reports.wind_world
+        known = state in (MotionState.GOOD, MotionState.DEGRADED)
         rebooted = self._vehicle.starts != self._starts
         position = self._position(m, now_ns) if m is not None and known else None
         now = Situation(
@@ -174,11 +177,24 @@ class LandingInputs:
             contact=reports.has_contact,
             standing=reports.is_down,
             battery=self._battery.share(reports, now_ns * 1e-9),
-            wind=wind if np.isfinite(wind[:2]).all() else None,
+            wind=self._wind(reports),
             holds=reports.can_hold,
             lands=reports.mode is FlightMode.LAND,
         )
         return now, m if position is not None else None
+
+    def _wind(self, reports: Telemetry) -> F64 | None:
+        """Return the wind, (3,) m/s as reported or (2,) m/s by the lean; None: unknown."""
+        if np.isfinite(reports.wind_world[:2]).all():
+            return reports.wind_world
+        self.wind_watch.add(reports)
+        wind, sigma = self.wind_watch.estimate
+        if sigma > WIND_KNOWN:
+            return None
+        if not self._wind_noted:
+            self._wind_noted = True
+            self._note("autopilot", f"wind by the lean: {math.hypot(*wind):.1f} m/s, 1-sigma {sigma:.1f}")
+        return wind
 
     def _position(self, motion: Motion, now_ns: int) -> F64 | None:
         """Return the present position, (3,) metres: of `motion`, plus the displacement since then; None: unknown."""
