@@ -182,6 +182,7 @@ def test_a_vehicle_on_the_ground_needs_a_take_off() -> None:
 
 def test_silence_and_strangers_are_told_apart() -> None:
     assert "nothing has come over udp:x" in p.judge_link("udp:x", 0, None, "")[0].evidence
+    assert "is signed with the key: 9 unsigned" in p.judge_link("udp:x", 0, None, "", "9 unsigned")[0].evidence
     assert "no heartbeat" in p.judge_link("udp:x", 5, None, "")[1].evidence
     assert "not supported" in p.judge_link("udp:x", 5, None, "system 3: this autopilot is not supported")[1].evidence
     r = hovering()

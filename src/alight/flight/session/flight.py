@@ -12,8 +12,10 @@ from pathlib import Path
 from alight import compiled
 from alight.checks.result import CheckResult, Judged, bad
 from alight.flight.autopilot import RemoteVehicle
+from alight.flight.autopilot.interference import counts_text
 from alight.flight.live.live import Listener
 from alight.flight.live.run import LiveRequest, LiveRun
+from alight.flight.live.signing_key import read_signing_key
 from alight.flight.live.telemetry import TelemetryFeed
 from alight.flight.session import preflight
 from alight.flight.session.dry_run import DryRunVehicle
@@ -54,6 +56,7 @@ class FlightRequest:
     separation: float | None = None  # metres, ellipsoidal height minus altitude above the sea; None: the receiver's
     take_off: float | None = None  # metres above home; None: the vehicle flies already
     imu_rate: float = 100.0  # Hz requested of the autopilot; 0: no IMU
+    signing_key: Path | None = None  # file with the passphrase of the link's signatures
     record: bool = True
     overwrite: bool = False
 
@@ -112,6 +115,7 @@ def fly_vehicle(
         AlightError: the input cannot be used, or the output cannot be written; the message names the remedy.
     """
     plan.validate()
+    key = None if plan.signing_key is None else read_signing_key(plan.signing_key)
     prepare_folder(plan.out, plan.overwrite)
     over = threading.Event()
     opened = open_sensors(plan.camera, plan.settings, plan.rig, over.is_set)
@@ -120,7 +124,7 @@ def fly_vehicle(
     )
     if any(c.verdict is Judged.BAD for c in machine):
         return FlightOutcome(machine, REFUSED)
-    feed = TelemetryFeed(plan.link, plan.separation, {"HIGHRES_IMU": plan.imu_rate})
+    feed = TelemetryFeed(plan.link, plan.separation, {"HIGHRES_IMU": plan.imu_rate}, key)
     try:
         checks = wait_for_vehicle(plan, feed, machine, on_status, on_line)
         if not feed.located:
@@ -151,7 +155,7 @@ def wait_for_vehicle(
             refused = next((n.text for n in reversed(notices) if n.kind is NoticeKind.FOUND and not n.ok), refused)
             found = [*machine, *autopilot_checks(plan, feed, refused)]
         for notice in notices:
-            if notice.kind is NoticeKind.TEXT:
+            if notice.kind in (NoticeKind.TEXT, NoticeKind.INTERFERENCE):
                 on_line(f"autopilot: {notice.text}")
         on_status(FlightStatus("checks", found))
         time.sleep(STEP)
@@ -161,7 +165,8 @@ def wait_for_vehicle(
 def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = "") -> list[CheckResult]:
     """Return the checks of the link and its autopilot; `refused`: see `judge_link`. The feed must be locked."""
     vehicle = feed.autopilot.vehicle
-    found = preflight.judge_link(plan.link, feed.autopilot.messages, vehicle, refused)
+    dropped = counts_text(feed.autopilot.dropped)
+    found = preflight.judge_link(plan.link, feed.autopilot.messages, vehicle, refused, dropped)
     if vehicle is None:
         return found
     take_off, home = plan.take_off is not None, plan.home is not None
@@ -376,6 +381,9 @@ class FlightSession:
         pilot, plan = self.pilot, self.plan
         ended, why = pilot.diary.end or (pilot.state, "")
         why = f"ended by the user; {stopped}" if stopped else why
+        self.run.live.watch.counts.update(
+            {f"link: messages {why}": n for why, n in self.feed.autopilot.dropped.items()}
+        )
         found = self.run.finish()
         result = replace(
             with_home(found, flown_home(plan.home, self.vehicle.telemetry, plan.separation)), diary=pilot.diary,

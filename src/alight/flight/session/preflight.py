@@ -22,18 +22,24 @@ INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
 NEEDED = ("ATTITUDE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT")  # messages without which no landing begins
 
 
-def judge_link(name: str, messages: int, vehicle: RemoteVehicle | None, refused: str) -> list[CheckResult]:
+def judge_link(
+    name: str, messages: int, vehicle: RemoteVehicle | None, refused: str, dropped: str = ""
+) -> list[CheckResult]:
     """Check the link, and the autopilot at its other end.
 
     Args:
         name, messages: name of the link, and the number of messages received over it.
         vehicle: the vehicle found; None: no vehicle.
         refused: reason why a sender was not accepted as the vehicle; empty: no sender was refused.
+        dropped: numbers of dropped messages, in words; empty: none was dropped.
     """
+    if not messages and dropped:
+        mend = "give the autopilot the passphrase in the key's file; after a crash of this program wait five seconds"
+        return [bad("link", f"no message over {name} is signed with the key: {dropped}", mend)]
     if not messages:
         mend = "see that the autopilot sends MAVLink there: port, baud rate, address"
         return [bad("link", f"nothing has come over {name}", mend)]
-    link = good("link", f"{messages} messages over {name}")
+    link = good("link", f"{messages} messages over {name}" + (f"; dropped: {dropped}" if dropped else ""))
     if vehicle is None:
         what = refused or "messages come, but no heartbeat of an autopilot"
         return [link, bad("autopilot", what, "fly ArduPilot's Copter or PX4's multicopter (docs/autopilot.md)")]
