@@ -132,7 +132,7 @@ class Link:
 
 
 class _UdpPort:
-    """A UDP socket. If it listens, it answers at most eight senders of the last ten seconds; else it has one address."""
+    """A UDP socket. A listening one answers at most eight senders of the last ten seconds, another has one address."""
 
     def __init__(self, host: str, port: int, listen: bool) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

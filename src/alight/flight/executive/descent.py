@@ -80,7 +80,11 @@ class Descent:
         if t - self._begun > self._keys.hold + self._high / self._keys.landing_speed:
             return f"it does not come down: {t - self._begun:.0f} s"
         silent = t - self._taken[-1]
-        late = silent > self._keys.unjudged + verdict_time and self._keys.look_again and not is_too_low_to_abort(left, self._keys)
+        late = (
+            silent > self._keys.unjudged + verdict_time
+            and self._keys.look_again
+            and not is_too_low_to_abort(left, self._keys)
+        )
         return f"no verdict for {silent:.1f} s" if late else ""
 
     def unfelt(self, t: float) -> str:

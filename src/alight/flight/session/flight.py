@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from alight.flight.autopilot.interference import counts_text
 from alight.flight.live.live import Listener
 from alight.flight.live.run import LiveRequest, LiveRun
 from alight.flight.live.signing_key import read_signing_key
+from alight.flight.live.speed import measure_speed
 from alight.flight.live.telemetry import TelemetryFeed
 from alight.flight.session import preflight
 from alight.flight.session.dry_run import DryRunVehicle
@@ -126,7 +128,10 @@ def fly_vehicle(
         return FlightOutcome(machine, REFUSED)
     feed = TelemetryFeed(plan.link, plan.separation, {"HIGHRES_IMU": plan.imu_rate}, key)
     try:
-        checks = wait_for_vehicle(plan, feed, machine, on_status, on_line)
+        with ThreadPoolExecutor(1) as meanwhile:
+            speed = meanwhile.submit(measure_speed, opened.source.rig, plan.settings, USUAL_RATE)
+            checks = wait_for_vehicle(plan, feed, machine, on_status, on_line)
+            machine.append(preflight.judge_speed(speed.result(), plan.settings.stages().executive.unjudged))
         if not feed.located:
             return FlightOutcome(checks, REFUSED)
         session = open_session(plan, opened, feed, SessionLog(on_line), on_status)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from alight.checks.result import CheckResult, bad, good, unknown, warning
 from alight.flight.autopilot import RemoteVehicle, StreamRate
+from alight.flight.live.speed import Speed
 from alight.records import FIX_3D, Landed, Motion, MotionState, Rig, Telemetry
 from alight.settings import Settings
 
@@ -224,6 +225,24 @@ def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, 
     else:
         disk = good("disk", f"{free:.0f} MB are free, the recording may need {need:.0f}")
     return [loops, disk]
+
+
+def judge_speed(speed: Speed, unjudged: float) -> CheckResult:
+    """Check that the lanes are fast enough on this computer.
+
+    Args:
+        speed: times of the lanes, measured before the flight.
+        unjudged: age of the newest verdict beyond which a landing ends, if verdicts were fast before, s.
+    """
+    limits = Speed(1.0 / GOOD_RATE, 1.0 / GOOD_RATE, unjudged / 2.0)  # two verdicts are one after the other
+    facts = [
+        f"a {name} takes {'too long to measure' if math.isnan(took) else f'{took:.2f} s'} of {most:.2f} s"
+        for name, took, most in zip(("frame", "step of the map", "verdict"), speed, limits, strict=True)
+    ]
+    if all(took <= most for took, most in zip(speed, limits, strict=True)):
+        return good("computer", ", ".join(facts))
+    mend = "end other programs, or set a larger parallax.cell: looks and the landing wait for verdicts"
+    return warning("computer", ", ".join(facts), mend)
 
 
 def judge_motion(motion: Motion | None, age: float) -> CheckResult:
