@@ -77,7 +77,8 @@ class Descent:
             left: height above the site, metres; if it is too low to abort, the age of the verdict has no effect.
             verdict_time: see `AttemptLimits`.
         """
-        if t - self._begun > self._keys.hold + self._high / self._keys.landing_speed:
+        waits = verdict_time * self._high / self._keys.unchecked  # s, over the site, for verdicts that keep up
+        if t - self._begun > self._keys.hold + self._high / self._keys.landing_speed + waits:
             return f"it does not come down: {t - self._begun:.0f} s"
         silent = t - self._taken[-1]
         late = (
