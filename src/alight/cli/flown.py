@@ -31,6 +31,10 @@ class FlightOptions(options.RouteOptions):
             min=-200.0, max=200.0, help="Ellipsoid minus sea level, m, where the receiver does not report it."
         ),
     ] = None
+    signing_key: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Passphrase of MAVLink 2 signing; unsigned messages are dropped."),
+    ] = None
     record: Annotated[
         bool, typer.Option("--record/--no-record", help="Record everything that comes in, and what is done, as MCAP.")
     ] = True
@@ -84,15 +88,20 @@ def live(o: LiveOptions) -> None:
     chosen = o.read_settings()
     o.refuse_unused(o.source, o.follow, o.speed)
     from alight.flight.live.run import LiveRequest, fly_live
+    from alight.records import InputError
     from alight.runner.opening import open_live
     from alight.runs import flown_home, wanted_home, with_home
 
     wanted = wanted_home(o.home, o.geoid)
+    if o.signing_key is not None and o.telemetry is None:
+        raise InputError("--signing-key: signs the link of --telemetry; give both or leave it out")
     opened = open_live(o.source, chosen, o.speed, o.follow, o.rig)
     if o.telemetry is not None:
+        from alight.flight.live.signing_key import read_signing_key
         from alight.flight.live.telemetry import with_telemetry
 
-        opened = with_telemetry(opened, o.telemetry, o.separation)
+        key = None if o.signing_key is None else read_signing_key(o.signing_key)
+        opened = with_telemetry(opened, o.telemetry, o.separation, key)
     compile_if_cold()  # a lane cannot answer while it compiles
     inputs = [path] if (path := Path(o.source)).is_file() else []
     request = LiveRequest(o.out, chosen, o.record, opened.real_time, o.force, inputs)
@@ -143,7 +152,7 @@ def fly(o: FlyOptions) -> None:
 
     request = FlightRequest(
         o.link, o.camera, o.out, chosen, o.rig, o.dry_run, wanted_home(o.home, o.geoid), o.separation, o.take_off,
-        o.imu, o.record, o.force,
+        o.imu, o.signing_key, o.record, o.force,
     )  # fmt: skip
     outcome = _flown(request)
     for check in outcome.checks:

@@ -200,6 +200,7 @@ class NoticeKind(Enum):
     MODE = "mode"  # a change of mode that Alight requested, or its consequence
     COMMAND = "command"  # a command was accepted, refused or not answered
     TEXT = "text"  # a text message of the autopilot
+    INTERFERENCE = "interference"  # messages were dropped, or a second sender has the vehicle's identity
 
 
 @dataclass(frozen=True)

@@ -78,6 +78,7 @@ class SimulatedAutopilot:
     Args:
         drift: relative error of its clock's rate.
         kind: MAV_TYPE.
+        key: signs what is sent, and what is not signed with it is ignored; None: nothing is signed.
     """
 
     def __init__(
@@ -89,6 +90,7 @@ class SimulatedAutopilot:
         drift: float = 0.0,
         system: int = 1,
         kind: int = mavlink.MAV_TYPE_QUADROTOR,
+        key: bytes | None = None,
     ) -> None:
         self.dialect, self.kind, self._drift, self._system = dialect, kind, drift, system
         self.vehicle: TrueVehicle = vehicle or PointMass()
@@ -97,6 +99,7 @@ class SimulatedAutopilot:
         self.healthy = self.checks = True  # checks: whether the checks before arming are switched on
         self._mavlink = mavlink.MAVLink(None, srcSystem=system, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         self._mavlink.robust_parsing = True
+        self._mavlink.signing.secret_key, self._mavlink.signing.sign_outgoing = key, key is not None
         self._out: list[bytes] = []
         self.reboot()
 

@@ -365,3 +365,20 @@ def test_a_real_ardupilot_takes_off_and_lands(sitl: str) -> None:
     assert drive(link, ours, 60, lambda: bool(ours.telemetry and ours.telemetry.is_down)), ours.notices()
     assert any(isinstance(s, NavSample) and s.position_world is not None for s in ours.samples())
     link.close()
+
+
+def test_a_flood_of_senders_is_not_answered_one_and_all() -> None:
+    port = free_port()
+    link = open_link(f"udp:127.0.0.1:{port}")
+    senders = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(12)]
+    try:
+        for s in senders:
+            s.setblocking(False)
+            s.sendto(b"x", ("127.0.0.1", port))
+        assert len(link.read(1.0)) == 12
+        link.write(b"y")
+        assert len(select.select(senders, [], [], 0.2)[0]) == 8
+    finally:
+        for s in senders:
+            s.close()
+        link.close()

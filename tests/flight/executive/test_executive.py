@@ -478,13 +478,31 @@ def test_who_comes_is_seen_in_time_however_slow_the_verdicts_are(every: float, a
     assert low > 1.4, (first, low)
 
 
-@pytest.mark.parametrize(("every", "age"), [(1.0, 1.0), (2.0, 2.0)])
-def test_slow_verdicts_make_a_landing_slow_and_do_not_end_it(every: float, age: float) -> None:
+@pytest.mark.parametrize(("age", "most"), [(1.0, 16.0), (2.0, 30.0), (4.0, 60.0), (10.0, 150.0)])
+def test_slow_verdicts_make_a_landing_slow_and_do_not_end_it(age: float, most: float) -> None:
+    """The computer makes one verdict after the other, and each takes so long."""
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), Late(age))
-    assert f.fly(verdict_every=every) is S.LANDED
-    assert S.ABORT not in f.states
+    assert f.fly(verdict_every=age) is S.LANDED
+    assert E.WAITED not in f.events
     took = f.t - next(x.t for x in f.executive.diary.transitions if x.after is S.COMMIT)
-    assert took < (16.0 if every == 1.0 else 30.0)
+    assert took < most
+
+
+def test_verdicts_that_hang_after_slow_ones_end_a_landing() -> None:
+    late = Late(4.0)
+    kept: list[Situation] = []
+
+    def hangs(now: Situation, executive: Executive) -> Situation:
+        seen = late(now, executive)
+        if executive.state is S.COMMIT and not kept:
+            kept.append(seen)
+        return replace(seen, seen=kept[0].seen) if kept and executive.state is S.COMMIT else seen
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), hangs)
+    f.fly(200.0, verdict_every=4.0)
+    k = f.states.index(S.COMMIT)
+    assert (f.events[k], f.states[k + 1]) == (E.WAITED, S.ABORT)
+    assert f.executive.diary.transitions[k].t - f.executive.diary.transitions[k - 1].t < 20.0
 
 
 def test_verdicts_that_are_too_old_are_none() -> None:

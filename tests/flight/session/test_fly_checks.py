@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from length import long
 from made_up_ground import Ground
 from pilot_rig import PilotRig, seldom
 
 from alight.checks.result import CheckResult, Judged
 from alight.flight.autopilot import StreamRate
+from alight.flight.live.speed import Speed, measure_speed
 from alight.flight.session import preflight as p
 from alight.flight.session.flight import FlightRequest, fly_vehicle
 from alight.flight.session.inputs import PictureWatch
@@ -184,6 +186,7 @@ def test_a_vehicle_on_the_ground_needs_a_take_off() -> None:
 
 def test_silence_and_strangers_are_told_apart() -> None:
     assert "nothing has come over udp:x" in p.judge_link("udp:x", 0, None, "")[0].evidence
+    assert "is signed with the key: 9 unsigned" in p.judge_link("udp:x", 0, None, "", "9 unsigned")[0].evidence
     assert "no heartbeat" in p.judge_link("udp:x", 5, None, "")[1].evidence
     assert "not supported" in p.judge_link("udp:x", 5, None, "system 3: this autopilot is not supported")[1].evidence
     r = hovering()
@@ -231,6 +234,29 @@ def test_the_machine(tmp_path: Path) -> None:
     cold, disk = p.judge_machine(False, tmp_path, rig, 5.0, 1e9, True)
     assert (cold.verdict, disk.verdict) == (BAD, WARNING)
     assert "alight warmup" in cold.mend
+
+
+@pytest.mark.parametrize(
+    ("speed", "verdict", "words"),
+    [
+        (Speed(0.08, 0.2, 0.9), GOOD, "a verdict takes 0.90 s of 2.50 s"),
+        (Speed(0.08, 0.2, 4.7), WARNING, "a verdict takes 4.70 s of 2.50 s"),
+        (Speed(0.3, 0.2, 0.9), WARNING, "a frame takes 0.30 s of 0.25 s"),
+        (Speed(0.08, math.nan, math.nan), WARNING, "a verdict takes too long to measure"),
+    ],
+)
+def test_a_computer_that_is_too_slow_is_warned_of(speed: Speed, verdict: Judged, words: str) -> None:
+    found = p.judge_speed(speed, 5.0)
+    assert found.verdict is verdict
+    assert words in found.evidence
+
+
+@long
+def test_the_speed_of_this_computer_is_measured() -> None:
+    """The lanes work over drawn ground; on a busy machine there may be no time for a step of the map or a verdict."""
+    speed = measure_speed(default_rig(), Settings(), 5.0)
+    assert speed.frame > 0.0
+    assert not speed.verdict < speed.frame
 
 
 def test_a_search_that_would_begin_low_is_told_of(tmp_path: Path) -> None:

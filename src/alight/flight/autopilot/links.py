@@ -141,7 +141,7 @@ class Link:
 
 
 class _UdpPort:
-    """A UDP socket. If it listens, it answers all senders of the last ten seconds; else it writes to one address."""
+    """A UDP socket. A listening one answers at most eight senders of the last ten seconds, another has one address."""
 
     def __init__(self, host: str, port: int, listen: bool) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -159,12 +159,20 @@ class _UdpPort:
     def receive(self) -> list[bytes]:
         out = []
         with suppress(BlockingIOError, ConnectionRefusedError):  # refused: nobody listens there yet
-            while True:
+            for _ in range(1000):  # a flood must not keep the reader here
                 data, sender = self._socket.recvfrom(_CHUNK)
                 if self._listen or sender == self._address:
-                    self._peers = {**self._peers, sender: time.monotonic()}
+                    self._note_peer(sender)
                     out.append(data)
         return out
+
+    def _note_peer(self, sender: Any) -> None:
+        """Note a datagram's sender; of forged ones without number only the first eight are answered."""
+        now = time.monotonic()
+        if sender not in self._peers:
+            self._peers = {peer: t for peer, t in self._peers.items() if t > now - 10.0}
+        if sender in self._peers or len(self._peers) < 8:
+            self._peers = {**self._peers, sender: now}
 
     def send(self, data: bytes) -> None:
         since = time.monotonic() - 10.0

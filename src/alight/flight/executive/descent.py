@@ -69,17 +69,23 @@ class Descent:
         self._p.append(found.p_safe)
         return len(self._p) == self._p.maxlen and median(self._p) < self._keys.abort_median
 
-    def too_long(self, t: float, left: float) -> str:
+    def too_long(self, t: float, left: float, verdict_time: float) -> str:
         """Return the reason if the landing takes too long or the newest verdict is too old, else an empty string.
 
         Args:
             t: present time, s.
             left: height above the site, metres; if it is too low to abort, the age of the verdict has no effect.
+            verdict_time: see `AttemptLimits`.
         """
-        if t - self._begun > self._keys.hold + self._high / self._keys.landing_speed:
+        waits = verdict_time * self._high / self._keys.unchecked  # s, over the site, for verdicts that keep up
+        if t - self._begun > self._keys.hold + self._high / self._keys.landing_speed + waits:
             return f"it does not come down: {t - self._begun:.0f} s"
         silent = t - self._taken[-1]
-        late = silent > self._keys.unjudged and self._keys.look_again and not is_too_low_to_abort(left, self._keys)
+        late = (
+            silent > self._keys.unjudged + verdict_time
+            and self._keys.look_again
+            and not is_too_low_to_abort(left, self._keys)
+        )
         return f"no verdict for {silent:.1f} s" if late else ""
 
     def unfelt(self, t: float) -> str:

@@ -175,7 +175,7 @@ class Executive:
         if now.frame_id != self._frame.id and now.position is not None:
             self._follow(now)
             return E.NEW_FRAME, f"frame {now.frame_id}"
-        if self.state is S.COMMIT and (why := self._descent.too_long(now.t, self._left)):
+        if self.state is S.COMMIT and (why := self._descent.too_long(now.t, self._left, self._limits.verdict_time)):
             return E.WAITED, why
         return over if over is not None and (self.state, over[0]) in TABLE else None  # else no effect in this state
 
@@ -256,7 +256,8 @@ class Executive:
             return self._stuck(now, stage.across)
         if found is None or stage.leg_done is None or (now.seen is not None and now.seen.t < stage.leg_done):
             waited = now.t - (stage.leg_done or stage.since)
-            return (E.WAITED, "verdicts on it do not come") if waited > k.wait else (None, "")
+            late = waited > k.wait + self._limits.verdict_time
+            return (E.WAITED, "verdicts on it do not come") if late else (None, "")
         at, standing = found.place, found.standing
         look = LookRecord(now.t, (at.east, at.north, at.up), visit.height, standing.value, found.p_safe, found.why)
         self.diary.looks.append(look)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from alight.flight.executive.descent import is_near_ground
 from alight.records import MotionState
@@ -21,13 +22,26 @@ class AttemptLimits:
         self._since: dict[FlightEvent, float] = {}  # s, since when each quantity exceeds its limit
         self._sound_at = -math.inf  # s, when the motion was last not degraded
         self.missing_at = -math.inf  # s, when motion, pictures or the autopilot's position were last missing
+        self._judged = 0  # number of the newest verdict
+        self._ages = deque[float]([0.0], keys.last_verdicts)  # s, of the newest exposures of the last verdicts
 
     def observe(self, now: Situation) -> None:
-        """Note the start of the landing, and when the motion was last sound, or the autopilot without a position."""
+        """Note the start of the landing, what was last missing or degraded, and the age of a verdict."""
         self._begun = now.t if self._begun is None else self._begun
         self.missing_at = self.missing_at if now.holds else now.t
         if now.state is not MotionState.DEGRADED:
             self._sound_at = now.t
+        if now.seen is not None and now.seen.number > self._judged:
+            self._judged = now.seen.number
+            self._ages.append(now.t - now.seen.t)
+
+    @property
+    def verdict_time(self) -> float:
+        """Longest time, s, from a request for a verdict to the verdict: each of the last took half of it.
+
+        A request waits until the verdict before it is done. Slow verdicts lengthen every wait for one by this.
+        """
+        return 2.0 * max(self._ages)
 
     def exceeded(self, now: Situation) -> tuple[FlightEvent, str] | None:
         """Return the event of an exceeded limit and its values in words; None: no limit is exceeded.

@@ -6,14 +6,18 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from alight import compiled
 from alight.checks.result import CheckResult, Judged, bad
 from alight.flight.autopilot import RemoteVehicle
+from alight.flight.autopilot.interference import counts_text
 from alight.flight.live.live import Listener
 from alight.flight.live.run import LiveRequest, LiveRun
+from alight.flight.live.signing_key import read_signing_key
+from alight.flight.live.speed import measure_speed
 from alight.flight.live.telemetry import TelemetryFeed
 from alight.flight.session import preflight
 from alight.flight.session.dry_run import DryRunVehicle
@@ -66,6 +70,7 @@ class FlightRequest:
     separation: float | None = None  # metres, ellipsoidal height minus altitude above the sea; None: the receiver's
     take_off: float | None = None  # metres above home; None: the vehicle flies already
     imu_rate: float = 100.0  # Hz requested of the autopilot; 0: no IMU
+    signing_key: Path | None = None  # file with the passphrase of the link's signatures
     record: bool = True
     overwrite: bool = False
 
@@ -124,6 +129,7 @@ def fly_vehicle(
         AlightError: the input cannot be used, or the output cannot be written; the message names the remedy.
     """
     plan.validate()
+    key = None if plan.signing_key is None else read_signing_key(plan.signing_key)
     prepare_folder(plan.out, plan.overwrite)
     over = threading.Event()
     opened = open_sensors(plan.camera, plan.settings, plan.rig, over.is_set)
@@ -132,9 +138,12 @@ def fly_vehicle(
     )
     if any(c.verdict is Judged.BAD for c in machine):
         return FlightOutcome(machine, REFUSED)
-    feed = TelemetryFeed(plan.link, plan.separation, {"HIGHRES_IMU": plan.imu_rate})
+    feed = TelemetryFeed(plan.link, plan.separation, {"HIGHRES_IMU": plan.imu_rate}, key)
     try:
-        checks = wait_for_vehicle(plan, feed, machine, on_status, on_line)
+        with ThreadPoolExecutor(1) as meanwhile:
+            speed = meanwhile.submit(measure_speed, opened.source.rig, plan.settings, USUAL_RATE)
+            checks = wait_for_vehicle(plan, feed, machine, on_status, on_line)
+            machine.append(preflight.judge_speed(speed.result(), plan.settings.stages().executive.unjudged))
         if not feed.located:
             return FlightOutcome(checks, REFUSED)
         session = open_session(plan, opened, feed, SessionLog(on_line), on_status)
@@ -163,7 +172,7 @@ def wait_for_vehicle(
             refused = next((n.text for n in reversed(notices) if n.kind is NoticeKind.FOUND and not n.ok), refused)
             found = [*machine, *autopilot_checks(plan, feed, refused)]
         for notice in notices:
-            if notice.kind is NoticeKind.TEXT:
+            if notice.kind in (NoticeKind.TEXT, NoticeKind.INTERFERENCE):
                 on_line(f"autopilot: {notice.text}")
         on_status(FlightStatus("checks", found))
         time.sleep(STEP)
@@ -173,7 +182,8 @@ def wait_for_vehicle(
 def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = "") -> list[CheckResult]:
     """Return the checks of the link and its autopilot; `refused`: see `judge_link`. The feed must be locked."""
     vehicle = feed.autopilot.vehicle
-    found = preflight.judge_link(plan.link, feed.autopilot.messages, vehicle, refused)
+    dropped = counts_text(feed.autopilot.dropped)
+    found = preflight.judge_link(plan.link, feed.autopilot.messages, vehicle, refused, dropped)
     if vehicle is None:
         return found
     take_off, home = plan.take_off is not None, plan.home is not None
@@ -411,6 +421,9 @@ class FlightSession:
         pilot, plan = self.pilot, self.plan
         ended, why = pilot.diary.end or (pilot.state, "")
         why = f"ended by the user; {stopped}" if stopped else why
+        self.run.live.watch.counts.update(
+            {f"link: messages {why}": n for why, n in self.feed.autopilot.dropped.items()}
+        )
         found = self.run.finish()
         if ended is FlightState.LANDED:  # the answer is where it stands; other sites, and a route, mislead
             why, found = f"{why}{self._landing_place()}", replace(found, route=None)

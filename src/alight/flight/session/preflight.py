@@ -9,6 +9,7 @@ from pathlib import Path
 
 from alight.checks.result import CheckResult, bad, good, unknown, warning
 from alight.flight.autopilot import RemoteVehicle, StreamRate
+from alight.flight.live.speed import Speed
 from alight.records import FIX_3D, Landed, Motion, MotionState, Rig, Telemetry
 from alight.settings import Settings
 
@@ -22,18 +23,24 @@ INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
 NEEDED = ("ATTITUDE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT")  # messages without which no landing begins
 
 
-def judge_link(name: str, messages: int, vehicle: RemoteVehicle | None, refused: str) -> list[CheckResult]:
+def judge_link(
+    name: str, messages: int, vehicle: RemoteVehicle | None, refused: str, dropped: str = ""
+) -> list[CheckResult]:
     """Check the link, and the autopilot at its other end.
 
     Args:
         name, messages: name of the link, and the number of messages received over it.
         vehicle: the vehicle found; None: no vehicle.
         refused: reason why a sender was not accepted as the vehicle; empty: no sender was refused.
+        dropped: numbers of dropped messages, in words; empty: none was dropped.
     """
+    if not messages and dropped:
+        mend = "give the autopilot the passphrase in the key's file; after a crash of this program wait five seconds"
+        return [bad("link", f"no message over {name} is signed with the key: {dropped}", mend)]
     if not messages:
         mend = "see that the autopilot sends MAVLink there: port, baud rate, address"
         return [bad("link", f"nothing has come over {name}", mend)]
-    link = good("link", f"{messages} messages over {name}")
+    link = good("link", f"{messages} messages over {name}" + (f"; dropped: {dropped}" if dropped else ""))
     if vehicle is None:
         what = refused or "messages come, but no heartbeat of an autopilot"
         return [link, bad("autopilot", what, "fly ArduPilot's Copter or PX4's multicopter (docs/autopilot.md)")]
@@ -228,6 +235,24 @@ def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, 
     else:
         disk = good("disk", f"{free:.0f} MB are free, the recording may need {need:.0f}")
     return [loops, disk]
+
+
+def judge_speed(speed: Speed, unjudged: float) -> CheckResult:
+    """Check that the lanes are fast enough on this computer.
+
+    Args:
+        speed: times of the lanes, measured before the flight.
+        unjudged: age of the newest verdict beyond which a landing ends, if verdicts were fast before, s.
+    """
+    limits = Speed(1.0 / GOOD_RATE, 1.0 / GOOD_RATE, unjudged / 2.0)  # two verdicts are one after the other
+    facts = [
+        f"a {name} takes {'too long to measure' if math.isnan(took) else f'{took:.2f} s'} of {most:.2f} s"
+        for name, took, most in zip(("frame", "step of the map", "verdict"), speed, limits, strict=True)
+    ]
+    if all(took <= most for took, most in zip(speed, limits, strict=True)):
+        return good("computer", ", ".join(facts))
+    mend = "end other programs, or set a larger parallax.cell: looks and the landing wait for verdicts"
+    return warning("computer", ", ".join(facts), mend)
 
 
 def judge_motion(motion: Motion | None, age: float) -> CheckResult:
