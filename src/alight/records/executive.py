@@ -85,7 +85,7 @@ class Situation:
     battery: float = 1.0  # remaining share; NaN: no longer reported
     wind: F64 | None = None  # (2,) or (3,) m/s, velocity of the air; None: unknown
     holds: bool = True  # whether the autopilot has its own position and can hold it
-    offset: F64 | None = None  # (3,) metres, from the map frame to the world
+    offset: F64 | None = None  # (2,) metres, from the map frame to the plane of the autopilot's fence; None: unknown
 
     @property
     def wind_speed(self) -> float:

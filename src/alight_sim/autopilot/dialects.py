@@ -31,6 +31,7 @@ class Dialect:
     LAND first waits for a target, 7 s at most.
     """
 
+    firmware: FirmwareName
     autopilot: int  # MAV_AUTOPILOT
     lacks: tuple[str, ...]  # messages that it does not send
     modes: Mapping[Doing, tuple[int, int]]  # parameters 2 and 3 of MAV_CMD_DO_SET_MODE per mode
@@ -56,6 +57,7 @@ class Dialect:
 
 DIALECTS: Mapping[FirmwareName, Dialect] = {
     "ardupilot": Dialect(
+        "ardupilot",
         mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
         ("ESTIMATOR_STATUS", "WIND_COV"),
         {
@@ -77,6 +79,7 @@ DIALECTS: Mapping[FirmwareName, Dialect] = {
         target_delay=2.0,
     ),
     "px4": Dialect(
+        "px4",
         mavlink.MAV_AUTOPILOT_PX4,
         ("EKF_STATUS_REPORT", "WIND"),
         {

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from alight import compiled
 from alight.checks.result import CheckResult, Judged, bad
-from alight.flight.autopilot import RemoteVehicle
+from alight.flight.autopilot import RemoteVehicle, judged_parameters
 from alight.flight.live.live import Listener
 from alight.flight.live.run import LiveRequest, LiveRun
 from alight.flight.live.telemetry import TelemetryFeed
@@ -20,6 +20,7 @@ from alight.flight.session.dry_run import DryRunVehicle
 from alight.flight.session.pilot import LandingPilot, PilotView, SessionLog
 from alight.flight.session.take_off import TakeOff
 from alight.outputs import prepare_folder
+from alight.outputs.reading import EarlierSite
 from alight.pipeline import FlightPolicy
 from alight.records import Event, FlightMode, Frame, Home, InputError, Notice, NoticeKind, RunResult, Telemetry
 from alight.records.executive import FlightState
@@ -56,6 +57,7 @@ class FlightRequest:
     imu_rate: float = 100.0  # Hz requested of the autopilot; 0: no IMU
     record: bool = True
     overwrite: bool = False
+    goals: tuple[EarlierSite, ...] = ()  # places to look at before the search, in this order
 
     def validate(self) -> None:
         """Raise InputError, with the remedy, if no landing can be flown with these options."""
@@ -140,19 +142,26 @@ def fly_vehicle(
 def wait_for_vehicle(
     plan: FlightRequest, feed: TelemetryFeed, machine: Sequence[CheckResult], on_status: OnStatus, on_line: OnLine
 ) -> list[CheckResult]:
-    """Wait until an autopilot has reported its position, at most `PATIENCE` seconds; return the newest checks.
+    """Wait until an autopilot has reported its position and its parameters, at most `PATIENCE` seconds.
 
-    The list begins with `machine`, the checks of this computer. `on_status`, `on_line`: see `fly_vehicle`.
+    Checks of the parameters are printed as soon as they are read. The newest checks are returned; the list begins
+    with `machine`, the checks of this computer. `on_status`, `on_line`: see `fly_vehicle`.
     """
-    begin, found, refused = time.monotonic(), list[CheckResult](), ""
-    while not feed.located and time.monotonic() - begin < PATIENCE:
+    begin, found, refused, judged = time.monotonic(), list[CheckResult](), "", False
+    while not (feed.located and judged) and time.monotonic() - begin < PATIENCE:
         with feed.lock:
+            if (vehicle := feed.autopilot.vehicle) is not None:
+                vehicle.onboard.begin([*judged_parameters(vehicle.firmware.name), *vehicle.firmware.fence_parameters])
             notices = feed.autopilot.notices()
             refused = next((n.text for n in reversed(notices) if n.kind is NoticeKind.FOUND and not n.ok), refused)
             found = [*machine, *autopilot_checks(plan, feed, refused)]
         for notice in notices:
             if notice.kind is NoticeKind.TEXT:
                 on_line(f"autopilot: {notice.text}")
+        if vehicle is not None and not judged and vehicle.onboard.parameters_over:
+            judged = True
+            for check in preflight.judge_parameters(vehicle):
+                on_line(check.line)
         on_status(FlightStatus("checks", found))
         time.sleep(STEP)
     return found
@@ -167,7 +176,8 @@ def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = ""
     take_off, home = plan.take_off is not None, plan.home is not None
     missing = feed.events_of.missing
     checks = preflight.judge_vehicle(vehicle, missing, plan.settings, take_off, plan.dry_run, home)
-    return [*found, *checks, preflight.judge_imu(vehicle, plan.imu_rate)]
+    stored = [*preflight.judge_parameters(vehicle), *preflight.judge_fence(vehicle, plan.settings)]
+    return [*found, *checks, preflight.judge_imu(vehicle, plan.imu_rate), *stored]
 
 
 def open_session(
@@ -331,7 +341,7 @@ class FlightSession:
         """Fly the landing; return the vehicle's action in words after a stop by the user, else an empty string."""
         dry = self.plan.dry_run
         try:
-            self.pilot.begin(time.monotonic_ns(), self.plan.take_off is not None)
+            self.pilot.begin(time.monotonic_ns(), self.plan.take_off is not None, self.plan.goals)
             due = time.monotonic()
             while not self.pilot.over and not (dry and self.pilot.state is FlightState.RETURN):
                 with self.feed.lock:

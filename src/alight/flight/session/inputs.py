@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from alight.arrays import F64, U8
-from alight.flight.autopilot import RemoteVehicle
+from alight.flight.autopilot import RemoteVehicle, on_plane
 from alight.geometry import LocalFrame
 from alight.pipeline import Verdict
 from alight.records import Frame, Motion, MotionState, Telemetry
@@ -176,8 +176,14 @@ class LandingInputs:
             battery=self._battery.share(reports, now_ns * 1e-9),
             wind=wind if np.isfinite(wind[:2]).all() else None,
             holds=located,
+            offset=None if m is None or position is None else self._offset(m),
         )
         return now, m if position is not None else None
+
+    def _offset(self, motion: Motion) -> F64 | None:
+        """Return the way, (2,) metres, from the map frame to the plane of the autopilot's fence; None: unknown."""
+        place = self._vehicle.place_at(motion.t_ns)
+        return None if place is None else on_plane(self._local, place) - motion.world_from_body.translation[:2]
 
     def _position(self, motion: Motion, now_ns: int) -> F64 | None:
         """Return the present position, (3,) metres: of `motion`, plus the displacement since then; None: unknown."""
