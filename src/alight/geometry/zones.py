@@ -92,6 +92,8 @@ class Region:
 
         Samples lie a tenth of `room` apart; a corner that juts in between two of them costs 5 % of it.
         """
+        if not self.zones:
+            return True
         count = 2 + math.ceil(10.0 * math.dist(start, to) / max(room, 1.0))
         return bool((self.room(np.linspace(start, to, count)) >= room).all())
 

@@ -289,9 +289,6 @@ class ExecutiveKeys(FrozenModel):
         description="Height above the site of the last look; a place in doubt is looked at once more from "
         "`tuning.executive.nearest`, m",
     )
-    fence_margin: NonNegative = Field(
-        2.0, description="Least distance between the vehicle's disc and the autopilot's fence, m; half of it on the way"
-    )
     look_again: bool = Field(
         True,
         description="Look again from lower heights, and during the descent; false: for comparison, land without a "

@@ -24,7 +24,7 @@ PARAMETERS: Mapping[FirmwareName, Mapping[str, float]] = {
     },
     "px4": {
         "COM_OBL_RC_ACT": 5, "COM_OF_LOSS_T": 1.0, "COM_DISARM_LAND": 2.0, "COM_RC_OVERRIDE": 3, "RC_MAP_FLTMODE": 5,
-        "NAV_RCL_ACT": 2, "COM_LOW_BAT_ACT": 3, "MPC_LAND_SPEED": 0.5, "MAV_PROTO_VER": 2,
+        "NAV_RCL_ACT": 2, "COM_LOW_BAT_ACT": 3, "MPC_LAND_SPEED": 0.5,
     },
 }  # fmt: skip
 

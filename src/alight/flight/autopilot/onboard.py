@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
@@ -146,8 +147,9 @@ class OnboardData:
         """Process a message; return whether it is one of parameters or lists."""
         name = m.get_type()
         if name == "PARAM_VALUE":
-            if m.param_id in self._wanted:
-                self.parameters[m.param_id] = self._firmware.parameter_value(m.param_value, m.param_type)
+            value = self._firmware.parameter_value(m.param_value, m.param_type)
+            if m.param_id in self._wanted and math.isfinite(value):
+                self.parameters[m.param_id] = value
         elif name in ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"):
             if all(to in (0, us) for to, us in zip((m.target_system, m.target_component), self._us, strict=True)):
                 self.fence.on_message(m, t_ns)

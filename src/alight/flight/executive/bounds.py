@@ -19,9 +19,9 @@ CELLS = 161  # along each side of the square in which ways around are planned
 class Bounds:
     """Keeps the vehicle's disc in a region. Positions are (2,) or (3,) metres in the map frame.
 
-    The disc keeps `executive.fence_margin` from the border at the end of every way, and half of it on the way, as no
-    vehicle flies exactly straight. Ways around are planned over the cells of a grid that the vehicle can reach from its
-    start.
+    The disc keeps `tuning.executive.fence_margin` from the border at the end of every way, and half of it on the way,
+    as no vehicle flies exactly straight. Ways around are planned over the cells of a grid that the vehicle can reach
+    from its start.
 
     Args:
         settings: settings of the landing.
@@ -98,9 +98,9 @@ class Bounds:
     def _cells(self) -> F64:
         """Cells, (N, 2) metres in the plane of the region, that the vehicle can reach over neighbouring cells."""
         along = np.linspace(-self._reach, self._reach, CELLS)
-        points = self._start + np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
-        room = max(self._at_end, self._on_way + math.sqrt(0.5) * self._cell)  # so is the way between two neighbours
-        roomy = points[self._region.room(points) >= room]
+        rows = self._start + np.stack(np.meshgrid(along, along), axis=-1)
+        room = max(self._at_end, self._on_way + math.sqrt(0.5) * self._cell)  # the way between two neighbours has less
+        roomy = np.concatenate([row[self._region.room(row) >= room] for row in rows])
         if not len(roomy):
             return roomy
         _, parts = csgraph.connected_components(_neighbours(roomy, self._cell), directed=False)
