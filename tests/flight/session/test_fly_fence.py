@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,10 +14,9 @@ from pilot_rig import PLACE, PilotRig
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from alight.checks.result import CheckResult, Judged
-from alight.flight.autopilot import judged_parameters
 from alight.flight.live.telemetry import TelemetryFeed
 from alight.flight.session import preflight as p
-from alight.flight.session.flight import FlightRequest, wait_for_vehicle
+from alight.flight.session.dry_run import report_parameters
 from alight.records.executive import FlightState
 from alight.records.telemetry import FirmwareName
 from alight.settings import Settings
@@ -40,7 +38,7 @@ def rig(dialect: FirmwareName, fence: list[MissionItem], ground: Ground | None =
 def read(r: PilotRig) -> PilotRig:
     """Wait until a vehicle is ready, and everything that it stores was read."""
     r.ready()
-    r.vehicle.onboard.begin([*judged_parameters(r.vehicle.firmware.name), *r.vehicle.firmware.fence_parameters])
+    p.judge_parameters(r.vehicle)  # begins to read
     assert r.run(20.0, lambda: r.vehicle.onboard.over)
     return r
 
@@ -143,13 +141,12 @@ def test_a_parameter_that_differs_is_named(dialect: FirmwareName, name: str, val
 
 
 @BOTH
-def test_a_dry_run_prints_the_parameters_within_five_seconds(dialect: FirmwareName, tmp_path: Path) -> None:
+def test_a_dry_run_prints_the_parameters_within_five_seconds(dialect: FirmwareName) -> None:
     sim, lines = SimulatedAutopilot(DIALECTS[dialect]), list[str]()
     name = "PLND_STRICT" if dialect == "ardupilot" else "COM_RC_OVERRIDE"
     sim.memory.parameters[name] = 1
     port = free_port()
-    plan = FlightRequest(f"udp:127.0.0.1:{port}", "", tmp_path / "out", Settings(), dry_run=True)
-    feed, begin, printed = TelemetryFeed(plan.link), time.monotonic(), list[float]()
+    feed, begin, printed = TelemetryFeed(f"udp:127.0.0.1:{port}"), time.monotonic(), list[float]()
 
     def keep(line: str) -> None:
         lines.append(line)
@@ -157,7 +154,7 @@ def test_a_dry_run_prints_the_parameters_within_five_seconds(dialect: FirmwareNa
 
     try:
         with UdpServer(sim, ("127.0.0.1", port), step=0.05):
-            wait_for_vehicle(plan, feed, (), lambda status: None, keep)
+            report_parameters(feed, keep)
     finally:
         feed.close()
     assert any(line.startswith("WARNING") and f"{name}: it is 1" in line for line in lines), lines

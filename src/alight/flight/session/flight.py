@@ -11,12 +11,12 @@ from pathlib import Path
 
 from alight import compiled
 from alight.checks.result import CheckResult, Judged, bad
-from alight.flight.autopilot import RemoteVehicle, judged_parameters
+from alight.flight.autopilot import RemoteVehicle
 from alight.flight.live.live import Listener
 from alight.flight.live.run import LiveRequest, LiveRun
 from alight.flight.live.telemetry import TelemetryFeed
 from alight.flight.session import preflight
-from alight.flight.session.dry_run import DryRunVehicle
+from alight.flight.session.dry_run import DryRunVehicle, report_parameters
 from alight.flight.session.pilot import LandingPilot, PilotView, SessionLog
 from alight.flight.session.take_off import TakeOff
 from alight.outputs import prepare_folder
@@ -116,14 +116,21 @@ def fly_vehicle(
     plan.validate()
     prepare_folder(plan.out, plan.overwrite)
     over = threading.Event()
-    opened = open_sensors(plan.camera, plan.settings, plan.rig, over.is_set)
-    machine = preflight.judge_machine(
-        compiled.is_warm(), plan.out, opened.source.rig, USUAL_RATE, plan.settings.executive.time_budget, plan.record
-    )
-    if any(c.verdict is Judged.BAD for c in machine):
-        return FlightOutcome(machine, REFUSED)
     feed = TelemetryFeed(plan.link, plan.separation, {"HIGHRES_IMU": plan.imu_rate})
     try:
+        if plan.dry_run:  # before the cameras, which may need half a minute
+            report_parameters(feed, on_line)
+        opened = open_sensors(plan.camera, plan.settings, plan.rig, over.is_set)
+        machine = preflight.judge_machine(
+            compiled.is_warm(),
+            plan.out,
+            opened.source.rig,
+            USUAL_RATE,
+            plan.settings.executive.time_budget,
+            plan.record,
+        )
+        if any(c.verdict is Judged.BAD for c in machine):
+            return FlightOutcome(machine, REFUSED)
         checks = wait_for_vehicle(plan, feed, machine, on_status, on_line)
         if not feed.located:
             return FlightOutcome(checks, REFUSED)
@@ -142,26 +149,19 @@ def fly_vehicle(
 def wait_for_vehicle(
     plan: FlightRequest, feed: TelemetryFeed, machine: Sequence[CheckResult], on_status: OnStatus, on_line: OnLine
 ) -> list[CheckResult]:
-    """Wait until an autopilot has reported its position and its parameters, at most `PATIENCE` seconds.
+    """Wait until an autopilot has reported its position, at most `PATIENCE` seconds; return the newest checks.
 
-    Checks of the parameters are printed as soon as they are read. The newest checks are returned; the list begins
-    with `machine`, the checks of this computer. `on_status`, `on_line`: see `fly_vehicle`.
+    The list begins with `machine`, the checks of this computer. `on_status`, `on_line`: see `fly_vehicle`.
     """
-    begin, found, refused, judged = time.monotonic(), list[CheckResult](), "", False
-    while not (feed.located and judged) and time.monotonic() - begin < PATIENCE:
+    begin, found, refused = time.monotonic(), list[CheckResult](), ""
+    while not feed.located and time.monotonic() - begin < PATIENCE:
         with feed.lock:
-            if (vehicle := feed.autopilot.vehicle) is not None:
-                vehicle.onboard.begin([*judged_parameters(vehicle.firmware.name), *vehicle.firmware.fence_parameters])
             notices = feed.autopilot.notices()
             refused = next((n.text for n in reversed(notices) if n.kind is NoticeKind.FOUND and not n.ok), refused)
             found = [*machine, *autopilot_checks(plan, feed, refused)]
         for notice in notices:
             if notice.kind is NoticeKind.TEXT:
                 on_line(f"autopilot: {notice.text}")
-        if vehicle is not None and not judged and vehicle.onboard.parameters_over:
-            judged = True
-            for check in preflight.judge_parameters(vehicle):
-                on_line(check.line)
         on_status(FlightStatus("checks", found))
         time.sleep(STEP)
     return found

@@ -112,8 +112,12 @@ def judge_imu(vehicle: RemoteVehicle, wanted: float) -> CheckResult:
 
 
 def judge_parameters(vehicle: RemoteVehicle) -> list[CheckResult]:
-    """Check the parameters that were read: a result for each with a value that is not accepted, and one for all."""
+    """Check the stored parameters, and begin to read what the autopilot stores if that was not begun.
+
+    There is a result for each parameter with a value that is not accepted, and one for all.
+    """
     data, table = vehicle.onboard, judged_parameters(vehicle.firmware.name)
+    data.begin([*table, *vehicle.firmware.fence_parameters])
     if not data.parameters_over:
         return [bad("parameters", "they are being read", "wait")]
     read = {p: data.parameters[name] for name, p in table.items() if name in data.parameters}
