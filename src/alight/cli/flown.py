@@ -135,6 +135,9 @@ class FlyOptions(FlightOptions):
     take_off: Annotated[
         float | None, typer.Option(min=2.0, max=120.0, metavar="M", help="Arm and climb so high above home first.")
     ] = None
+    sites: Annotated[
+        Path | None, typer.Option(metavar="OUT", help="Folder of an earlier run: look at its sites first, in order.")
+    ] = None
     imu: Annotated[
         float, typer.Option(min=0.0, max=1000.0, metavar="HZ", help="Rate of IMU samples to request; 0: none.")
     ] = 100.0
@@ -147,12 +150,13 @@ def fly(o: FlyOptions) -> None:
     chosen = o.read_settings()
     o.refuse_unused(o.camera)
     from alight.flight.session.flight import FlightRequest
+    from alight.outputs.reading import read_sites
     from alight.records.executive import FlightState
     from alight.runs import wanted_home
 
     request = FlightRequest(
         o.link, o.camera, o.out, chosen, o.rig, o.dry_run, wanted_home(o.home, o.geoid), o.separation, o.take_off,
-        o.imu, o.signing_key, o.record, o.force,
+        o.imu, o.signing_key, o.record, o.force, () if o.sites is None else read_sites(o.sites),
     )  # fmt: skip
     outcome = _flown(request)
     for check in outcome.checks:

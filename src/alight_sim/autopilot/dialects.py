@@ -33,6 +33,7 @@ class Dialect:
     LAND first waits for a target, 7 s at most.
     """
 
+    firmware: FirmwareName
     autopilot: int  # MAV_AUTOPILOT
     lacks: tuple[str, ...]  # messages that it does not send
     modes: Mapping[Doing, tuple[int, int]]  # parameters 2 and 3 of MAV_CMD_DO_SET_MODE per mode
@@ -64,6 +65,7 @@ PX4_CONTROLLER = FlightLimits(  # PX4's position controller: MPC_TILTMAX_AIR is 
 )  # fmt: skip
 DIALECTS: Mapping[FirmwareName, Dialect] = {
     "ardupilot": Dialect(
+        "ardupilot",
         mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
         ("ESTIMATOR_STATUS", "WIND_COV"),
         {
@@ -87,6 +89,7 @@ DIALECTS: Mapping[FirmwareName, Dialect] = {
         target_delay=2.0,
     ),
     "px4": Dialect(
+        "px4",
         mavlink.MAV_AUTOPILOT_PX4,
         ("EKF_STATUS_REPORT", "WIND"),
         {

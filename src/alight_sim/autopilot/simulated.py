@@ -15,6 +15,7 @@ from alight.records import Event
 from alight_sim.autopilot.dialects import DIALECTS, Dialect, Doing
 from alight_sim.autopilot.estimate import Estimate, EstimateError
 from alight_sim.autopilot.flight_logic import FlightLogic
+from alight_sim.autopilot.memory import AutopilotMemory
 from alight_sim.autopilot.reports import Reports
 from alight_sim.point_mass import PointMass, Wanted
 
@@ -101,6 +102,7 @@ class SimulatedAutopilot:
         self._mavlink.robust_parsing = True
         self._mavlink.signing.secret_key, self._mavlink.signing.sign_outgoing = key, key is not None
         self._out: list[bytes] = []
+        self.memory = AutopilotMemory(dialect.firmware, self.send)
         self.reboot()
 
     def reboot(self) -> None:
@@ -211,6 +213,8 @@ class SimulatedAutopilot:
             self._guide(m, self.home.metres(m.lat_int * 1e-7, m.lon_int * 1e-7, m.alt))
         elif name == "SET_POSITION_TARGET_LOCAL_NED":
             self._guide(m, np.array([m.y, m.x, -m.z]))
+        elif name in ("PARAM_REQUEST_READ", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT"):
+            self.memory.on_message(m)
         elif name == "LANDING_TARGET" and m.position_valid and m.frame == mavlink.MAV_FRAME_BODY_FRD:
             self._on_landing_target(m)
 

@@ -16,6 +16,7 @@ from made_up_ground import AWAY, STEP, Flight, Ground, bad_from_below, clearer_f
 from some_run import elevation as some_elevation
 from some_run import site as some_site
 
+from alight.flight.executive.bounds import Bounds
 from alight.flight.executive.executive import Executive
 from alight.flight.executive.looks import LookLeg, LookPlanner
 from alight.flight.executive.places import KnownPlaces
@@ -1133,7 +1134,7 @@ def test_after_a_gap_of_pictures_a_search_goes_on_with_degraded_motion() -> None
 
 def test_a_lane_that_passes_far_below_its_end_goes_on() -> None:
     """The lane begins low, beneath its end: from there the ground around the end is not seen."""
-    lanes = SearchLanes(np.array([0.0, 0.0, 30.0]), settings().executive)
+    lanes = SearchLanes(np.array([0.0, 0.0, 30.0]), settings().executive, Bounds(settings()))
     first = lanes.end(0.0)
     lanes.fly(np.array([*first[:2], 4.0]), 0.0)
     assert lanes.end(0.0).tolist() == first.tolist()

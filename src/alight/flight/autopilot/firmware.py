@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -42,6 +43,7 @@ class Firmware(ABC):
     takes_speeds: bool  # whether speeds are commands; else the distance to a set-point sets the speed
     natural: Mapping[tuple[FlightMode, FlightMode], bool] = MappingProxyType({})  # changes of mode that it makes by
     # itself at the end of a task; True: on the ground only, as in the air they are a takeover
+    fence_parameters: tuple[str, ...] = ()  # parameters that decide how its fence is meant
     high_site: float  # metres above home from which its LAND descends fast
     modes: Mapping[str, FlightMode]  # by the autopilot's names; other names are OTHER
     parameters: Mapping[FlightMode, tuple[float, ...]]  # of MAV_CMD_DO_SET_MODE, after the base mode
@@ -56,6 +58,17 @@ class Firmware(ABC):
 
         `telemetry`: newest telemetry, which holds the altitude of home.
         """
+
+    @abstractmethod
+    def unites_inclusions(self, parameters: Mapping[str, float]) -> bool:
+        """Whether the vehicle must stay in any zone of the fence that keeps it in, instead of in each.
+
+        `parameters`: values of `fence_parameters` that were read.
+        """
+
+    def parameter_value(self, value: float, kind: int) -> float:
+        """Return the value of a PARAM_VALUE; `kind` is its MAV_PARAM_TYPE."""
+        return value
 
     @abstractmethod
     def reach(self, speed: float, upright: bool) -> float:
@@ -102,6 +115,7 @@ class ArduPilotFirmware(Firmware):
     rates: Mapping[str, float] = {**_RATES, "EKF_STATUS_REPORT": 2.0, "WIND": 1.0}
     repeats_setpoints = False
     takes_speeds = True
+    fence_parameters = ("FENCE_OPTIONS",)
     high_site = 8.0  # LAND_ALT_LOW is 10 m, and home may lie lower than its estimate
     modes: Mapping[str, FlightMode] = {
         "AUTO": FlightMode.MISSION,
@@ -129,6 +143,10 @@ class ArduPilotFirmware(Firmware):
     def take_off_altitude(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
         """Return parameters 4 to 7 of MAV_CMD_NAV_TAKEOFF: zeros, and the height above home."""
         return (0.0, 0.0, 0.0, height)
+
+    def unites_inclusions(self, parameters: Mapping[str, float]) -> bool:
+        """Return bit 1 of FENCE_OPTIONS; see `Firmware.unites_inclusions`."""
+        return bool(int(parameters.get("FENCE_OPTIONS", 0.0)) & 2)
 
     def reach(self, speed: float, upright: bool) -> float:
         """Return the distance, m, that a set-point needs for flight at `speed`, m/s; see `Firmware.reach`.
@@ -193,6 +211,15 @@ class Px4Firmware(Firmware):
         """Return parameters 4 to 7 of MAV_CMD_NAV_TAKEOFF: NaN (keep heading and position), altitude above the sea."""
         home = telemetry.home or telemetry.place
         return (math.nan, math.nan, math.nan, math.nan if home is None else home.altitude_msl + height)
+
+    def unites_inclusions(self, parameters: Mapping[str, float]) -> bool:
+        """Return True: PX4 has no other way; see `Firmware.unites_inclusions`."""
+        return True
+
+    def parameter_value(self, value: float, kind: int) -> float:
+        """Return the value; the bytes of an integer come in the place of those of the float."""
+        is_integer = kind <= mavlink.MAV_PARAM_TYPE_INT32
+        return float(struct.unpack("<i", struct.pack("<f", value))[0]) if is_integer else value
 
     def reach(self, speed: float, upright: bool) -> float:
         """Return the distance, m, to a set-point for flight at `speed`, by the position gain; see `Firmware.reach`."""

@@ -15,12 +15,15 @@ from alight.flight.autopilot.clock import LinkWatch, TimeoutClock, VehicleClock
 from alight.flight.autopilot.commands import CommandAnswer, CommandQueue
 from alight.flight.autopilot.control import ControlWatch
 from alight.flight.autopilot.dialect import mavlink
+from alight.flight.autopilot.fence import fence_region
 from alight.flight.autopilot.firmware import Firmware
 from alight.flight.autopilot.framing import ReceivedMessage
+from alight.flight.autopilot.onboard import OnboardData
 from alight.flight.autopilot.setpoints import Guidance, Setpoint, Target
 from alight.flight.autopilot.streams import StreamKeeper, StreamRate
 from alight.flight.autopilot.vehicle_state import VehicleState, boot_time_ns
 from alight.geometry import LocalFrame
+from alight.geometry.zones import Region
 from alight.records import FlightMode, NoticeKind, Place, Telemetry
 
 _FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer is no evidence of a reboot
@@ -95,6 +98,7 @@ class RemoteVehicle:
         wanted = {name: rate for name, rate in {**firmware.rates, **rates}.items() if rate > 0}
         self._streams = StreamKeeper(wanted, self._commands)
         self._guidance = Guidance(firmware, address, send, self._commands)
+        self.onboard = OnboardData(firmware, address, us, send)
         self._now_ns = 0
         self._warnings = deque[tuple[int, str]](maxlen=5)  # our clock, and the text
         self._taken_by_failsafe = False
@@ -149,6 +153,15 @@ class RemoteVehicle:
     def oldest_place(self) -> float:
         """Greatest age, s, of the newest position at any time in the last five seconds; inf: no position."""
         return self._state.positions.oldest(self._now_ns, self.clock) if self.clock.known else math.inf
+
+    def fence_of(self, local: LocalFrame) -> Region:
+        """Return the region that its fence allows, in the plane of `local` (`on_plane`); without a fence, everything.
+
+        Raises:
+            InputError: the fence cannot be understood; the message names the item.
+        """
+        united = self.firmware.unites_inclusions(self.onboard.parameters)
+        return fence_region(self.onboard.fence.items or (), local, united)
 
     def tie(self, local: LocalFrame, position_world: F64, t_ns: int) -> EstimateTie | None:
         """Tie our position, `position_world` at `t_ns` of our clock, to the autopilot's position at the same instant.
@@ -277,6 +290,7 @@ class RemoteVehicle:
         if self.clock.is_request_due(now_ns):
             self._send(mavlink.MAVLink_timesync_message(0, self.clock.request(now_ns)))
         self._streams.tick(self._timeouts.t_ns)
+        self.onboard.tick(self._timeouts.t_ns)
         self._on_answers(self._commands.tick(self._timeouts.t_ns))
         if self._guidance.target is not None and self._guidance.is_due(now_ns):
             self._aim(self._guidance.target)
@@ -302,7 +316,7 @@ class RemoteVehicle:
         if name in ("COMMAND_ACK", "TIMESYNC", "STATUSTEXT"):
             self._on_handshake(name, m)
             return False
-        if received.late:
+        if self.onboard.on_message(m, self._timeouts.t_ns) or received.late:
             return False
         boot_ns = boot_time_ns(m)
         if boot_ns is not None and not received.overtaken:
@@ -340,6 +354,7 @@ class RemoteVehicle:
         self.clock.restart()
         self._commands.drop(everything=True)
         self._streams.rebooted()
+        self.onboard.rebooted()
         self._note(NoticeKind.REBOOT, "the autopilot has started again", ok=False)
 
     def _on_heartbeat(self) -> None:

@@ -9,19 +9,21 @@ location. Only then the landing begins.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from alight.arrays import F64
+from alight.flight.executive.bounds import Bounds
 from alight.flight.executive.descent import Descent, is_near_ground, is_too_low_to_abort
 from alight.flight.executive.limits import AttemptLimits
 from alight.flight.executive.looks import LookLeg, LookPlanner, look_outcome
 from alight.flight.executive.places import KnownPlaces, Opinion, Standing, opinion
+from alight.flight.executive.search import Goal, Search
 from alight.flight.executive.table import AT_A_PLACE, CROSSING, DOWN, ENDS, JUDGE_EVERY, TABLE
-from alight.flight.executive.ways import ClearWay, Course, SearchLanes
+from alight.flight.executive.ways import ClearWay, Course
 from alight.landing.wind import ground_speed, is_from_behind
 from alight.records import MotionState, Site, p_safe_text
 from alight.records.executive import (
@@ -48,7 +50,6 @@ class _Frame:
     home: F64 | None = None  # (3,) metres, where the search begins
     ground: float | None = None  # metres up
     above: float | None = None  # metres, last known height above the ground
-    lanes: SearchLanes | None = None
 
 
 @dataclass
@@ -78,6 +79,7 @@ class Executive:
         self._clear_way = ClearWay(settings)
         self._looks, self._course = LookPlanner(settings, self._clear_way), Course(settings, self._clear_way)
         self._limits, self._places = AttemptLimits(settings.executive), KnownPlaces(settings)
+        self._search = Search(settings, self._places, self._clear_way)
         self._descent = Descent(settings)
         self._frame, self._stage = _Frame(), _Stage(math.inf)
         self._visit: _Visit | None = None
@@ -85,6 +87,10 @@ class Executive:
         self._held = S.SEARCH  # the state before HOLD
         self._judged = 0  # number of the newest verdict that was used
         self._touched = False  # whether the ground was reported in a state of `DOWN`: no climb from then on
+
+    def confine(self, bounds: Bounds, goals: Sequence[Goal] = ()) -> None:
+        """Keep the vehicle within `bounds`, and begin the search with `goals`. Call it before the first tick."""
+        self._clear_way.bounds, self._search.goals = bounds, list(goals)
 
     @property
     def target(self) -> Site | None:
@@ -113,7 +119,8 @@ class Executive:
         return self._order(now)
 
     def _observe(self, now: Situation) -> None:
-        frame, at = self._frame, now.position
+        frame, at, bounds = self._frame, now.position, self._clear_way.bounds
+        bounds.shift = bounds.shift if now.offset is None else now.offset
         self._touched |= now.contact and self.state in DOWN
         if at is not None and frame.home is None:
             frame.home, frame.id = at.copy(), now.frame_id
@@ -193,19 +200,14 @@ class Executive:
         return self._at_place(now, self._visit)
 
     def _searching(self, now: Situation) -> Event:
-        frame, found = self._frame, self._places.best(self._is_open(now))
-        if found is None or not self._places.worth_a_visit(found):
-            assert frame.home is not None
-            lanes = frame.lanes = frame.lanes or SearchLanes(frame.home, self._keys)
-            lanes.fly(now.position, frame.ground)
-            if not lanes.over:
-                self._stage.way = lanes.end(frame.ground)
-                return None, ""
-        if found is None:
-            unseen = "" if frame.ground is not None else "; no height could be measured"
-            return E.SEARCHED, f"within {self._keys.search_side:.0f} m{self._places.fates}{unseen}"
-        self._visit = _Visit(found, self._keys.commit_height)
-        return E.FOUND, f"{found.kind}, P(safe) {p_safe_text(found.p_safe)}"
+        assert self._frame.home is not None
+        step = self._search.step(now, self._frame.home, self._frame.ground, self._seen(now), self._is_open(now))
+        self.diary.looks += [] if step.look is None else [step.look]
+        if step.place is not None:
+            self._visit = _Visit(step.place, self._keys.commit_height)
+            return E.FOUND, step.why
+        self._stage.way = step.way
+        return (E.SEARCHED, step.why) if step.way is None else (None, "")
 
     def _aborting(self, now: Situation) -> Event:
         waited = now.t - self._stage.since
@@ -335,6 +337,7 @@ class Executive:
         self._visit, self._stage.way = None, None
         self._course.begin()
         self._places.forget()
+        self._search.restart()
         if self.state is S.ABORT:
             self._climb(now)
         self._judged = 0 if now.seen is None else now.seen.number

@@ -50,10 +50,12 @@ class LookLeg:
     def cleared(self, ways: ClearWay, ground: float, seen: MapVerdict) -> LookLeg | None:
         """Return the leg, turned as little as possible so that no obstacle is beside it; None: no turn is clear.
 
-        Turns that keep `ROOMY` times the least distance to obstacles are preferred. Arguments: see `ClearWay.is_free`.
+        Both ends must be inside the bounds. Turns that keep `ROOMY` times the least distance to obstacles are
+        preferred. Arguments: see `ClearWay.is_free`.
         """
         free: LookLeg | None = None
-        for turned in (replace(self, turned=turn) for turn in TURNS):
+        turns = (replace(self, turned=turn) for turn in TURNS)
+        for turned in (t for t in turns if ways.bounds.is_inside(t.start) and ways.bounds.is_inside(t.end)):
             if turned.is_clear(ways, ground, seen, ROOMY):
                 return turned
             if free is None and turned.is_clear(ways, ground, seen):
@@ -134,7 +136,8 @@ class LookPlanner:
         if seen.number != self._number:
             self._number, self._open = seen.number, {}
         if place not in self._open:
-            self._open[place] = self.across(place, self.first_height(place, now), now, seen) is not None
+            inside = self._clear_way.bounds.is_inside(place.position_world)
+            self._open[place] = inside and self.across(place, self.first_height(place, now), now, seen) is not None
         return self._open[place]
 
 

@@ -20,10 +20,11 @@ from alight.flight.live.signing_key import read_signing_key
 from alight.flight.live.speed import measure_speed
 from alight.flight.live.telemetry import TelemetryFeed
 from alight.flight.session import preflight
-from alight.flight.session.dry_run import DryRunVehicle
+from alight.flight.session.dry_run import DryRunVehicle, report_parameters
 from alight.flight.session.pilot import LandingPilot, PilotView, SessionLog
 from alight.flight.session.take_off import TakeOff
 from alight.outputs import prepare_folder
+from alight.outputs.reading import EarlierSite
 from alight.pipeline import FlightPolicy
 from alight.records import (
     Event,
@@ -73,6 +74,7 @@ class FlightRequest:
     signing_key: Path | None = None  # file with the passphrase of the link's signatures
     record: bool = True
     overwrite: bool = False
+    goals: tuple[EarlierSite, ...] = ()  # places to look at before the search, in this order
 
     def validate(self) -> None:
         """Raise InputError, with the remedy, if no landing can be flown with these options."""
@@ -132,14 +134,17 @@ def fly_vehicle(
     key = None if plan.signing_key is None else read_signing_key(plan.signing_key)
     prepare_folder(plan.out, plan.overwrite)
     over = threading.Event()
-    opened = open_sensors(plan.camera, plan.settings, plan.rig, over.is_set)
-    machine = preflight.judge_machine(
-        compiled.is_warm(), plan.out, opened.source.rig, USUAL_RATE, plan.settings.executive.time_budget, plan.record
-    )
-    if any(c.verdict is Judged.BAD for c in machine):
-        return FlightOutcome(machine, REFUSED)
     feed = TelemetryFeed(plan.link, plan.separation, {"HIGHRES_IMU": plan.imu_rate}, key)
     try:
+        if plan.dry_run:  # before the cameras, which may need half a minute
+            report_parameters(feed, on_line)
+        opened = open_sensors(plan.camera, plan.settings, plan.rig, over.is_set)
+        machine = preflight.judge_machine(
+            compiled.is_warm(), plan.out, opened.source.rig, USUAL_RATE, plan.settings.executive.time_budget,
+            plan.record,
+        )  # fmt: skip
+        if any(c.verdict is Judged.BAD for c in machine):
+            return FlightOutcome(machine, REFUSED)
         with ThreadPoolExecutor(1) as meanwhile:
             speed = meanwhile.submit(measure_speed, opened.source.rig, plan.settings, USUAL_RATE)
             checks = wait_for_vehicle(plan, feed, machine, on_status, on_line)
@@ -189,7 +194,8 @@ def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = ""
     take_off, home = plan.take_off is not None, plan.home is not None
     missing = feed.events_of.missing
     checks = preflight.judge_vehicle(vehicle, missing, plan.settings, take_off, plan.dry_run, home)
-    return [*found, *checks, preflight.judge_imu(vehicle, plan.imu_rate)]
+    stored = [*preflight.judge_parameters(vehicle), *preflight.judge_fence(vehicle, plan.settings)]
+    return [*found, *checks, preflight.judge_imu(vehicle, plan.imu_rate), *stored]
 
 
 def open_session(
@@ -371,7 +377,7 @@ class FlightSession:
         """Fly the landing; return the vehicle's action in words after a stop by the user, else an empty string."""
         dry = self.plan.dry_run
         try:
-            self.pilot.begin(time.monotonic_ns(), self.plan.take_off is not None)
+            self.pilot.begin(time.monotonic_ns(), self.plan.take_off is not None, self.plan.goals)
             due = time.monotonic()
             while not self.pilot.over and not (dry and self.pilot.state is FlightState.RETURN):
                 with self.feed.lock:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from alight.arrays import F64, U8
-from alight.flight.autopilot import RemoteVehicle
+from alight.flight.autopilot import RemoteVehicle, on_plane
 from alight.flight.session.wind import WindWatch
 from alight.geometry import LocalFrame
 from alight.pipeline import Verdict
@@ -180,6 +180,7 @@ class LandingInputs:
             wind=self._wind(reports),
             holds=reports.can_hold,
             lands=reports.mode is FlightMode.LAND,
+            offset=None if m is None or position is None else self._offset(m),
         )
         return now, m if position is not None else None
 
@@ -195,6 +196,11 @@ class LandingInputs:
             self._wind_noted = True
             self._note("autopilot", f"wind by the lean: {math.hypot(*wind):.1f} m/s, 1-sigma {sigma:.1f}")
         return wind
+
+    def _offset(self, motion: Motion) -> F64 | None:
+        """Return the way, (2,) metres, from the map frame to the plane of the autopilot's fence; None: unknown."""
+        place = self._vehicle.place_at(motion.t_ns)
+        return None if place is None else on_plane(self._local, place) - motion.world_from_body.translation[:2]
 
     def _position(self, motion: Motion, now_ns: int) -> F64 | None:
         """Return the present position, (3,) metres: of `motion`, plus the displacement since then; None: unknown."""

@@ -7,10 +7,14 @@ import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from alight.checks.result import CheckResult, bad, good, unknown, warning
-from alight.flight.autopilot import RemoteVehicle, StreamRate
+from alight.flight.autopilot import RemoteVehicle, StreamRate, judged_parameters
+from alight.flight.executive.bounds import Bounds
 from alight.flight.live.speed import Speed
-from alight.records import FIX_3D, Landed, Motion, MotionState, Rig, Telemetry
+from alight.geometry import LocalFrame
+from alight.records import FIX_3D, InputError, Landed, Motion, MotionState, Rig, Telemetry
 from alight.settings import Settings
 
 LEAST_RATE, GOOD_RATE = 2.0, 4.0  # exposures per second
@@ -122,6 +126,51 @@ def judge_imu(vehicle: RemoteVehicle, wanted: float) -> CheckResult:
     if any(r.slow for r in rates.values()):
         return warning("IMU", _rates(rates), FASTER)
     return good("IMU", "samples come")
+
+
+def judge_parameters(vehicle: RemoteVehicle) -> list[CheckResult]:
+    """Check the stored parameters, and begin to read what the autopilot stores if that was not begun.
+
+    There is a result for each parameter with a value that is not accepted, and one for all.
+    """
+    data, table = vehicle.onboard, judged_parameters(vehicle.firmware.name)
+    data.begin([*table, *vehicle.firmware.fence_parameters])
+    if not data.parameters_over:
+        return [bad("parameters", "they are being read", "wait")]
+    read = {p: data.parameters[name] for name, p in table.items() if name in data.parameters}
+    differ = [p for p, value in read.items() if not p.is_accepted(value)]
+    found = [(bad if p.needed else warning)(p.name, f"it is {read[p]:g}: {p.why}", p.remedy) for p in differ]
+    number = f"{len(read)} read, {len(differ)} to set otherwise"
+    if missing := [name for name in table if name not in data.parameters]:
+        return [*found, unknown("parameters", f"{number}; no answer for {', '.join(missing)}: look at them yourself")]
+    return [*found, good("parameters", number)]
+
+
+def judge_fence(vehicle: RemoteVehicle, settings: Settings) -> list[CheckResult]:
+    """Check that the fence and the rally points were read, and how much of the search area the fence leaves."""
+    fence, rally, place = vehicle.onboard.fence, vehicle.onboard.rally, vehicle.telemetry.place
+    if not (fence.over and rally.over):
+        return [bad("fence", "it is being read", "wait")]
+    points = "rally points cannot be had" if rally.items is None else f"{len(rally.items)} rally points"
+    if fence.items is None:
+        act = "its own fence still acts; see the link, or keep the search far from it"
+        return [warning("fence", f"it cannot be had ({fence.failed}); {points}", act)]
+    if not fence.items:
+        return [good("fence", f"the autopilot has none; {points}")]
+    if place is None:
+        return [bad("fence", "no position yet, so it cannot be judged", "wait")]
+    local = LocalFrame(place.latitude, place.longitude, place.altitude_msl)
+    try:
+        region = vehicle.fence_of(local)
+    except InputError as e:
+        return [bad("fence", str(e), "mend it in the ground station, and upload it again")]
+    bounds, at, side = Bounds(settings.stages(), region), np.zeros(2), settings.executive.search_side
+    share, names = bounds.share(side), ", ".join(z.name for z in region.zones)
+    if not bounds.has_disc(at) or share == 0.0:
+        why = f"the search area is outside, or the vehicle's disc has no room in it: {bounds.limit(at)}"
+        return [bad("fence", why, "fly to where there is room, or move the fence")]
+    left = f"{names}; {100 * share:.0f} % of the search area are inside; {points}"
+    return [good("fence", left) if share > 0.5 else warning("fence", left, "search elsewhere, or set a smaller margin")]
 
 
 def _estimator(vehicle: RemoteVehicle, missing: str) -> CheckResult:
