@@ -330,7 +330,7 @@ class Executive:
     def _follow(self, now: Situation) -> None:
         """Continue in a new map frame: forget all locations, and search around the present position."""
         assert now.position is not None
-        self._frame = frame = replace(self._frame, id=now.frame_id, home=now.position.copy(), lanes=None)
+        self._frame = frame = replace(self._frame, id=now.frame_id, home=now.position.copy())
         if frame.above is not None and frame.home is not None:  # the height above ground stays
             frame.ground = float(now.position[2]) - frame.above
             frame.home[2] = frame.ground + self._keys.search_height
