@@ -489,6 +489,16 @@ def test_slow_verdicts_make_a_landing_slow_and_do_not_end_it(age: float, most: f
     assert took < most
 
 
+def test_what_the_last_lane_saw_is_judged_before_the_search_ends() -> None:
+    """A place below the end of the last lane, by verdicts that take four seconds."""
+    empty = Flight(Ground({}), Executive(settings()))
+    assert empty.fly() is S.RETURN
+    end = float(empty.position[0]), float(empty.position[1])
+    f = Flight(Ground({end: lambda h: 0.97}, sees=4.0), Executive(settings()), Late(4.0))
+    assert f.fly() is S.LANDED
+    assert f.events[0] is E.FOUND
+
+
 def test_verdicts_that_hang_after_slow_ones_end_a_landing() -> None:
     late = Late(4.0)
     kept: list[Situation] = []

@@ -6,6 +6,7 @@ import math
 from collections import deque
 
 from alight.flight.executive.descent import is_near_ground
+from alight.flight.executive.table import Event
 from alight.records import MotionState
 from alight.records.executive import FlightEvent, FlightState, Situation
 from alight.settings import ExecutiveSettings
@@ -43,7 +44,11 @@ class AttemptLimits:
         """
         return 2.0 * max(self._ages)
 
-    def exceeded(self, now: Situation) -> tuple[FlightEvent, str] | None:
+    def is_overdue(self, t: float, since: float) -> bool:
+        """Whether at `t` a verdict on what was seen at `since` is overdue, both in seconds."""
+        return t - since > self._keys.wait + self.verdict_time
+
+    def exceeded(self, now: Situation) -> Event | None:
         """Return the event of an exceeded limit and its values in words; None: no limit is exceeded.
 
         Call it at every tick. Wind and battery must exceed their limits for some time: a gust or a short dip of the

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from alight.arrays import F64
+from alight.flight.executive.limits import AttemptLimits
 from alight.flight.executive.places import KnownPlaces, Standing, opinion
 from alight.flight.executive.ways import ClearWay, SearchLanes
 from alight.records import Site, p_safe_text
@@ -39,17 +40,20 @@ class Search:
     too if the place that is visited for it is.
     """
 
-    def __init__(self, settings: StageSettings, places: KnownPlaces, clear_way: ClearWay) -> None:
+    def __init__(
+        self, settings: StageSettings, places: KnownPlaces, clear_way: ClearWay, limits: AttemptLimits
+    ) -> None:
         self._keys, self._margin = settings.executive, settings.sites.margin
-        self._places, self._clear_way = places, clear_way
+        self._places, self._clear_way, self._limits = places, clear_way, limits
         self.goals: list[Goal] = []
         self._lanes: SearchLanes | None = None
         self._above_at: float | None = None  # s, when the vehicle was first above the goal
+        self._over_at: float | None = None  # s, when the last lane ended
         self._refusals: int | None = None  # places refused before the goal was visited; None: it was not visited yet
 
     def restart(self) -> None:
         """Begin anew in another map frame; the goals remain."""
-        self._lanes = self._above_at = self._refusals = None
+        self._lanes = self._above_at = self._over_at = self._refusals = None
 
     def step(
         self, now: Situation, home: F64, ground: float | None, seen: MapVerdict | None, is_open: Callable[[Site], bool]
@@ -72,13 +76,19 @@ class Search:
         if found is None or not self._places.worth_a_visit(found):
             lanes = self._lanes = self._lanes or SearchLanes(home, self._keys, self._clear_way.bounds)
             lanes.fly(now.position, ground)
-            if not lanes.over:
+            if lanes.over and self._over_at is None:
+                self._over_at = now.t
+            if self._over_at is None or not self._is_judged(now, self._over_at, seen):
                 return SearchStep(way=lanes.end(ground))
         if found is None:
             unseen = "" if ground is not None else "; no height could be measured"
             fates = self._places.fates(self._clear_way.bounds)
             return SearchStep(why=f"within {self._keys.search_side:.0f} m{fates}{unseen}")
         return SearchStep(found, why=f"{found.kind}, P(safe) {p_safe_text(found.p_safe)}")
+
+    def _is_judged(self, now: Situation, t: float, seen: MapVerdict | None) -> bool:
+        """Whether a verdict on what was seen until `t`, s, has come, or is overdue."""
+        return (seen is not None and seen.t >= t) or self._limits.is_overdue(now.t, t)
 
     def _next_goal(self) -> None:
         self.goals.pop(0)
@@ -101,7 +111,7 @@ class Search:
         from_above = level - place.up
         same = max(k.same_place, k.beside * from_above)  # as at a look, which takes a better place near by
         found = opinion(place, seen, same, k.hopeless, may, self._margin)
-        if found.standing is Standing.NOT_SEEN and now.t - self._above_at < k.wait:
+        if found.standing is Standing.NOT_SEEN and not self._limits.is_overdue(now.t, self._above_at):
             return SearchStep(way=way)
         if found.standing in (Standing.SITE, Standing.CANDIDATE) and is_open(found.place):
             self._refusals, self._above_at = self._places.refusals, None

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from alight.records.executive import FlightEvent, FlightState
 
 S, E = FlightState, FlightEvent
+Event = tuple[FlightEvent, str]  # an event, and its reason in words; an empty reason is the event itself
 
 FLYING = (S.SEARCH, S.APPROACH, S.LOOK, S.DESCEND, S.COMMIT, S.ABORT, S.HOLD)
 ABOVE = (S.SEARCH, S.APPROACH, S.LOOK, S.DESCEND)  # before the landing begins
