@@ -12,8 +12,10 @@ from pilot_rig import PilotRig
 from some_run import some_run
 
 from alight.checks.result import bad, good
-from alight.flight.session.flight import FlightRequest, FlightSession
+from alight.flight.session.checks import FlightChecks
+from alight.flight.session.flight import FlightSession
 from alight.flight.session.pilot import SessionLog
+from alight.flight.session.request import FlightRequest
 from alight.settings import Settings
 
 
@@ -43,12 +45,14 @@ def session_of(
 ) -> FlightSession:
     """Return the session of `alight fly` around the rig's vehicle, in the rig's time, without lanes and files."""
     r.ticks = False
-    monkeypatch.setattr("alight.flight.session.flight.time", Clock(r))
+    for module in ("checks", "flight"):
+        monkeypatch.setattr(f"alight.flight.session.{module}.time", Clock(r))
     feed: Any = SimpleNamespace(lock=nullcontext(), autopilot=r.ours, flush=lambda: None)
-    live = SimpleNamespace(wait_until_ready=lambda: None, warnings=[], health=None)
+    watch = SimpleNamespace(counts={})
+    live = SimpleNamespace(wait_until_ready=lambda: None, warnings=[], health=None, watch=watch)
     run: Any = SimpleNamespace(live=live, finish=some_run)
     plan = FlightRequest("udp:x", "camera:0", Path("out"), Settings(), take_off=take_off)
-    found = FlightSession(plan, feed, r.pilot, run, iter(()), SessionLog(lines.append), on_status)
-    monkeypatch.setattr(found, "check_all", lambda motion: [good("link", "it is")])
-    monkeypatch.setattr(found, "check_motion", lambda: bad("motion", "none is known yet", "wait"))
-    return found
+    checks = FlightChecks(plan, feed, [])
+    monkeypatch.setattr(checks, "before_flight", lambda inputs, motion: [good("link", "it is")])
+    monkeypatch.setattr(checks, "of_motion", lambda inputs: bad("motion", "none is known yet", "wait"))
+    return FlightSession(plan, feed, checks, r.pilot, run, iter(()), SessionLog(lines.append), on_status)

@@ -15,7 +15,8 @@ from alight.cli.app import ExitCode, app
 from alight.cli.terminal import is_terminal, live_table, print_line, print_stderr, save_result
 
 if TYPE_CHECKING:
-    from alight.flight.session.flight import FlightOutcome, FlightRequest, FlightStatus
+    from alight.flight.session.outcome import FlightOutcome
+    from alight.flight.session.request import FlightRequest, FlightStatus
 
 
 @dataclass(kw_only=True)
@@ -149,7 +150,7 @@ def fly(o: FlyOptions) -> None:
     """Fly a landing: search, look, look again from lower down, land or give up. A pilot must be ready to take over."""
     chosen = o.read_settings()
     o.refuse_unused(o.camera)
-    from alight.flight.session.flight import FlightRequest
+    from alight.flight.session.request import FlightRequest
     from alight.outputs.reading import read_sites
     from alight.records.executive import FlightState
     from alight.runs import wanted_home

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import Future
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,13 +14,16 @@ import pytest
 from length import long
 from made_up_ground import Ground
 from pilot_rig import PilotRig, seldom
+from session_rig import Clock
 
 from alight.checks.result import CheckResult, Judged
 from alight.flight.autopilot import StreamRate
 from alight.flight.live.speed import Speed, measure_speed
+from alight.flight.session import checks
 from alight.flight.session import preflight as p
-from alight.flight.session.flight import FlightRequest, fly_vehicle
+from alight.flight.session.flight import fly_vehicle
 from alight.flight.session.inputs import PictureWatch
+from alight.flight.session.request import FlightRequest, FlightStatus
 from alight.geometry import Pose
 from alight.records import Frame, InputError, Motion, MotionState
 from alight.settings import Settings
@@ -242,13 +247,44 @@ def test_the_machine(tmp_path: Path) -> None:
         (Speed(0.08, 0.2, 0.9), GOOD, "a verdict takes 0.90 s of 2.50 s"),
         (Speed(0.08, 0.2, 4.7), WARNING, "a verdict takes 4.70 s of 2.50 s"),
         (Speed(0.3, 0.2, 0.9), WARNING, "a frame takes 0.30 s of 0.25 s"),
-        (Speed(0.08, math.nan, math.nan), WARNING, "a verdict takes too long to measure"),
+        (Speed(0.08, math.nan, math.nan), WARNING, "no verdict in 20 s"),
     ],
 )
 def test_a_computer_that_is_too_slow_is_warned_of(speed: Speed, verdict: Judged, words: str) -> None:
     found = p.judge_speed(speed, 5.0)
     assert found.verdict is verdict
     assert words in found.evidence
+
+
+@pytest.mark.parametrize(
+    ("located", "measured", "seconds", "words"),
+    [
+        (True, 3.0, 3.0, "a verdict takes 0.90 s of 2.50 s"),
+        (True, math.inf, 5.0, "its speed was not measured in 5 s"),
+        (False, 3.0, 5.0, "a verdict takes 0.90 s of 2.50 s"),
+    ],
+)
+def test_the_speed_and_the_vehicle_are_waited_for_and_neither_for_ever(
+    located: bool, measured: float, seconds: float, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    r, speed, lines = rig(), Future[Speed](), list[str]()
+    r.ready()
+    monkeypatch.setattr(checks, "time", Clock(r))
+    monkeypatch.setattr(checks, "PATIENCE", 5.0)
+    known = SimpleNamespace(missing="")
+    feed: Any = SimpleNamespace(lock=nullcontext(), autopilot=r.ours, located=located, events_of=known)
+    found = checks.FlightChecks(FlightRequest("udp:x", "camera:0", Path("out"), Settings()), feed, [])
+    begin = r.t
+
+    def on_status(status: FlightStatus) -> None:
+        lines.extend(c.evidence for c in status.checks if c.name == "computer")
+        if r.t > begin + measured and not speed.done():
+            speed.set_result(Speed(0.08, 0.2, 0.9))
+
+    assert found.wait_for_vehicle(speed, on_status, lines.append) is located
+    assert r.t - begin == pytest.approx(seconds, abs=0.2)
+    assert lines[0] == "its speed is being measured"
+    assert words in next(c.evidence for c in found.found if c.name == "computer")
 
 
 @long

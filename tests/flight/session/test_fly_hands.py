@@ -18,8 +18,9 @@ from some_run import site
 from alight.cli import call
 from alight.cli.flown import facts
 from alight.flight.autopilot.firmware import ArduPilotFirmware
-from alight.flight.session.flight import TAKEN, UNCONFIRMED, FlightStatus
+from alight.flight.session.flight import TAKEN, UNCONFIRMED
 from alight.flight.session.pilot import PilotView
+from alight.flight.session.request import FlightStatus
 from alight.geometry import Pose
 from alight.records import FlightMode, Motion, MotionState
 from alight.records.executive import FlightEvent, FlightState, Order

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import statistics
+import threading
 import time
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -33,10 +35,24 @@ class Speed(NamedTuple):
     verdict: float
 
 
-def measure_speed(rig: Rig, settings: Settings, rate: float) -> Speed:
+@contextmanager
+def measuring_speed(rig: Rig, settings: Settings, rate: float) -> Iterator[Future[Speed]]:
+    """Measure the speed of this computer meanwhile, at most until the end of the context; see `measure_speed`."""
+    over = threading.Event()
+    with ThreadPoolExecutor(1) as meanwhile:
+        try:
+            yield meanwhile.submit(measure_speed, rig, settings, rate, over.is_set)
+        finally:
+            over.set()
+
+
+def measure_speed(rig: Rig, settings: Settings, rate: float, is_over: Callable[[], bool] = lambda: False) -> Speed:
     """Return the times of the lanes on this computer, as it is loaded now, with the verdicts that a landing needs.
 
-    `rig` and `settings` are those of the flight, `rate` is in exposures per second.
+    Args:
+        rig, settings: of the flight.
+        rate: exposures per second.
+        is_over: returns whether to stop before two verdicts have come.
     """
     policy = FlightPolicy(every=0)
     policy.need = Need(JUDGE_EVERY[FlightState.COMMIT])
@@ -52,7 +68,7 @@ def measure_speed(rig: Rig, settings: Settings, rate: float) -> Speed:
             live.feed(row)
             live.feed(frame)
             time.sleep(max(begin + due / rate - time.monotonic(), 0.0))
-            if time.monotonic() - begin > LASTS or len(timings.get("verdict", ())) > 1:
+            if is_over() or time.monotonic() - begin > LASTS or len(timings.get("verdict", ())) > 1:
                 break
     finally:
         live.close()
