@@ -91,9 +91,11 @@ def test_where_nothing_is_left_inside_the_fence_it_returns_and_names_it() -> Non
     assert not r.pilot.diary.looks
 
 
-def judged(r: PilotRig, plan: list[MissionItem]) -> CheckResult:
-    """The check of a fence that the vehicle stores now."""
-    r.sim.memory.plans[FENCE] = plan
+def judged(r: PilotRig, plan: list[MissionItem] | None) -> CheckResult:
+    """The check of a fence that the vehicle stores now; None: its build has no fences."""
+    r.sim.memory.plans[FENCE] = plan or []
+    if plan is None:
+        del r.sim.memory.plans[FENCE]
     r.vehicle.onboard.rebooted()
     assert p.judge_fence(r.vehicle, Settings())[0].verdict is Judged.BAD  # until it is read
     assert r.run(20.0, lambda: r.vehicle.onboard.over)
@@ -114,8 +116,20 @@ def test_the_check_names_the_fence_and_what_it_leaves() -> None:
     ):
         found = judged(r, plan)
         assert (found.verdict, words in found.evidence) == (verdict, True), found
-    r.lose("MISSION_REQUEST_LIST", lambda m: True)
-    assert "it cannot be had (no answer" in judged(r, []).evidence
+
+
+def test_a_fence_that_is_announced_and_cannot_be_had_is_refused() -> None:
+    r = rig("ardupilot", [])
+    circle = fence_circle((0.0, 0.0), 100.0, r.sim.home.degrees, True)
+    for plan, lost, verdict, words in (
+        (1001 * circle, "", Judged.BAD, "(items: 1001), and it cannot be had: 1000 items are read at most"),
+        (circle, "MISSION_REQUEST_INT", Judged.BAD, "(items: 1), and it cannot be had: no answer"),
+        (circle, "MISSION_REQUEST_LIST", Judged.WARNING, "it cannot be had (no answer"),
+        (None, "", Judged.WARNING, "it cannot be had (the autopilot answers MAV_MISSION_UNSUPPORTED"),
+    ):
+        r.lose(lost, lambda m: True)
+        found = judged(r, plan)
+        assert (found.verdict, words in found.evidence) == (verdict, True), found
 
 
 @pytest.mark.parametrize(

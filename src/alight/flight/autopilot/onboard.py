@@ -35,14 +35,14 @@ class StoredList:
     def __init__(self, kind: int, send: Callable[[Any], None], address: tuple[int, int]) -> None:
         self._kind, self._send, self._address = kind, send, address
         self._received: list[StoredItem] = []
-        self._count: int | None = None
+        self.count: int | None = None  # announced items; None: none yet
         self._tries, self._due_ns = 0, 0
         self.failed = ""  # reason why the list cannot be had
 
     @property
     def items(self) -> tuple[StoredItem, ...] | None:
         """The whole list; None: it was not downloaded, or not yet."""
-        return tuple(self._received) if self._count is not None and len(self._received) >= self._count else None
+        return tuple(self._received) if self.count is not None and len(self._received) >= self.count else None
 
     @property
     def over(self) -> bool:
@@ -57,7 +57,7 @@ class StoredList:
             self.failed = f"no answer to {_TRIES} requests"
             return
         self._tries, self._due_ns = self._tries + 1, t_ns + _ANSWER_NS
-        if self._count is None:
+        if self.count is None:
             self._send(mavlink.MAVLink_mission_request_list_message(*self._address, self._kind))
         else:
             self._send(mavlink.MAVLink_mission_request_int_message(*self._address, len(self._received), self._kind))
@@ -71,12 +71,12 @@ class StoredList:
             kinds = mavlink.enums["MAV_MISSION_RESULT"]
             self.failed = f"the autopilot answers {kinds[m.type].name if m.type in kinds else m.type}"
             return
-        if name == "MISSION_COUNT" and self._count is None:
+        if name == "MISSION_COUNT" and self.count is None:
+            self.count = m.count
             if m.count > _MOST_ITEMS:
-                self.failed = f"{m.count} items; {_MOST_ITEMS} are read"
+                self.failed = f"{_MOST_ITEMS} items are read at most"
                 return
-            self._count = m.count
-        elif name == "MISSION_ITEM_INT" and self._count is not None and m.seq == len(self._received):
+        elif name == "MISSION_ITEM_INT" and self.count is not None and m.seq == len(self._received):
             self._received.append(StoredItem(m.command, m.param1, m.x * 1e-7, m.y * 1e-7))
         else:
             return

@@ -12,7 +12,7 @@ import numpy as np
 from alight.checks.result import CheckResult, bad, good, unknown, warning
 from alight.flight.autopilot import RemoteVehicle, StreamRate, judged_parameters
 from alight.flight.executive.bounds import Bounds
-from alight.flight.live.speed import Speed
+from alight.flight.live.speed import LASTS, Speed
 from alight.geometry import LocalFrame
 from alight.records import FIX_3D, InputError, Landed, Motion, MotionState, Rig, Telemetry
 from alight.settings import Settings
@@ -152,6 +152,9 @@ def judge_fence(vehicle: RemoteVehicle, settings: Settings) -> list[CheckResult]
     if not (fence.over and rally.over):
         return [bad("fence", "it is being read", "wait")]
     points = "rally points cannot be had" if rally.items is None else f"{len(rally.items)} rally points"
+    if fence.items is None and fence.count:
+        why = f"the autopilot announces one (items: {fence.count}), and it cannot be had: {fence.failed}"
+        return [bad("fence", why, "mend the link and begin again, or upload the fence again")]
     if fence.items is None:
         act = "its own fence still acts; see the link, or keep the search far from it"
         return [warning("fence", f"it cannot be had ({fence.failed}); {points}", act)]
@@ -295,7 +298,7 @@ def judge_speed(speed: Speed, unjudged: float) -> CheckResult:
     """
     limits = Speed(1.0 / GOOD_RATE, 1.0 / GOOD_RATE, unjudged / 2.0)  # two verdicts are one after the other
     facts = [
-        f"a {name} takes {'too long to measure' if math.isnan(took) else f'{took:.2f} s'} of {most:.2f} s"
+        f"no {name} in {LASTS:.0f} s" if math.isnan(took) else f"a {name} takes {took:.2f} s of {most:.2f} s"
         for name, took, most in zip(("frame", "step of the map", "verdict"), speed, limits, strict=True)
     ]
     if all(took <= most for took, most in zip(speed, limits, strict=True)):
