@@ -86,6 +86,7 @@ class Situation:
     wind: F64 | None = None  # (2,) or (3,) m/s, velocity of the air; None: unknown
     holds: bool = True  # whether the autopilot has its own position, by a fix of its receiver, and can hold it
     lands: bool = False  # whether the autopilot is in its landing mode
+    steers: bool = True  # whether that mode leads to the place, else straight down
     offset: F64 | None = None  # (2,) metres, from the map frame to the plane of the autopilot's fence; None: unknown
 
     @property

@@ -17,6 +17,7 @@ from some_run import elevation as some_elevation
 from some_run import site as some_site
 
 from alight.flight.executive.bounds import Bounds
+from alight.flight.executive.descent import Descent
 from alight.flight.executive.executive import Executive
 from alight.flight.executive.looks import LookLeg, LookPlanner
 from alight.flight.executive.places import KnownPlaces
@@ -438,6 +439,13 @@ def test_a_vehicle_that_turns_out_to_be_lower_is_not_sent_up_again() -> None:
     waits = [(o.height, p[2]) for s, o, p in f.orders if s is S.COMMIT and not o.down]
     assert len(pushed) == 2
     assert all(height is not None and height <= up + 0.3 for height, up in waits)
+
+
+@pytest.mark.parametrize(("steers", "beside", "down"), [(True, 0.3, True), (False, 0.3, False), (False, 0.19, True)])
+def test_a_landing_that_is_not_steered_begins_nearer_to_its_site(steers: bool, beside: float, down: bool) -> None:
+    site, descent = replace(some_site(), east=10.0, north=5.0, up=0.0), Descent(settings())
+    now = Situation(0.0, np.array([10.0 + beside, 5.0, 8.0]), MotionState.GOOD, steers=steers)
+    assert descent.order(now, site, 8.0, True).down is down
 
 
 @dataclass

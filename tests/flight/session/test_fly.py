@@ -22,14 +22,11 @@ S, E = FlightState, FlightEvent
 
 @pytest.mark.parametrize(("dialect", "height"), [("ardupilot", 30.0), ("px4", 16.0)])
 def test_it_searches_looks_and_lands_where_it_looked(dialect: str, height: float) -> None:
-    """The autopilot's place is off by metres and ours is true: the touchdown is at our place.
-
-    PX4 comes straight down from where its landing begins, within `on_way`.
-    """
+    """The autopilot's place is off by metres and ours is true: the touchdown is at our place."""
     r = flying(dialect, height=height)
     assert r.fly(S.LANDED)
     assert not r.sim.logic.armed
-    assert np.hypot(*(r.truth()[:2] - PLACE)) < (0.3 if dialect == "ardupilot" else 0.4)
+    assert np.hypot(*(r.truth()[:2] - PLACE)) < 0.3
     assert r.sim.vehicle.touchdown_speed < 0.9
     assert {E.FOUND, E.LOWER, E.CONFIRMED, E.TOUCHED_DOWN} <= set(r.events)
     assert not r.of(NoticeKind.TAKEOVER)

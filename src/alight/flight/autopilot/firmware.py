@@ -41,6 +41,7 @@ class Firmware(ABC):
     rates: Mapping[str, float]  # Hz of the messages to request
     repeats_setpoints: bool  # whether a set-point must be sent repeatedly
     takes_speeds: bool  # whether speeds are commands; else the distance to a set-point sets the speed
+    takes_targets: bool  # whether LAND comes down on the reported target, else straight down
     natural: Mapping[tuple[FlightMode, FlightMode], bool] = MappingProxyType({})  # changes of mode that it makes by
     # itself at the end of a task; True: on the ground only, as in the air they are a takeover
     fence_parameters: tuple[str, ...] = ()  # parameters that decide how its fence is meant
@@ -114,7 +115,7 @@ class ArduPilotFirmware(Firmware):
     name = "ArduPilot"
     rates: Mapping[str, float] = {**_RATES, "EKF_STATUS_REPORT": 2.0, "WIND": 1.0}
     repeats_setpoints = False
-    takes_speeds = True
+    takes_speeds = takes_targets = True
     fence_parameters = ("FENCE_OPTIONS",)
     high_site = 8.0  # LAND_ALT_LOW is 10 m, and home may lie lower than its estimate
     modes: Mapping[str, FlightMode] = {
@@ -174,7 +175,7 @@ class Px4Firmware(Firmware):
     name = "PX4"
     rates: Mapping[str, float] = {**_RATES, "ESTIMATOR_STATUS": 2.0, "WIND_COV": 1.0}
     repeats_setpoints = True
-    takes_speeds = False
+    takes_speeds = takes_targets = False
     natural: Mapping[tuple[FlightMode, FlightMode], bool] = {
         (FlightMode.TAKE_OFF, FlightMode.HOLD): False,
         (FlightMode.LAND, FlightMode.HOLD): True,

@@ -124,7 +124,8 @@ class Descent:
         if now.position is None or not same_frame:
             return Order("land", None, speed, sink, down=True)
         beside = math.hypot(place.east - now.position[0], place.north - now.position[1])
-        within = self._keys.off_way if self._over else self._keys.on_way
+        begin = self._keys.on_way if now.steers else self._keys.on_way / 2  # what is left then, straight down, stays
+        within = self._keys.off_way if self._over else begin
         enough = self._over or self._has_enough_verdicts(left)
         waits = now.holds and not (enough and self._is_checked(left))
         self._over = low or (beside <= within and not waits)

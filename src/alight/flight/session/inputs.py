@@ -180,6 +180,7 @@ class LandingInputs:
             wind=self._wind(reports),
             holds=reports.can_hold,
             lands=reports.mode is FlightMode.LAND,
+            steers=self._vehicle.firmware.takes_targets,
             offset=None if m is None or position is None else self._offset(m),
         )
         return now, m if position is not None else None
