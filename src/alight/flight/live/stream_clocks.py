@@ -2,9 +2,9 @@
 
 Stamps come from the sensors; arrival times only serve to find jumps of a clock. A stamp precedes its arrival by a
 delay that varies little. A stamp that is ahead of this delay by more than `JUMP` is a jump of the clock, as no event
-comes from the future. An event whose stamp is behind by more is late and dropped. If a stream stays behind for two
-seconds and does not catch up, its clock has jumped back. A jump is subtracted from all later stamps, so that time is
-continuous; if the stream catches up later, it was late after all, and the correction is taken back.
+comes from the future. An event whose stamp is behind by more is late and dropped. If the stamps have stepped back
+and stay behind for two seconds, the clock has jumped back: stamps of a backlog go on where the last one was. A jump is
+subtracted from all later stamps, so that time is continuous. Events that are late for `USUAL` seconds are used again.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from alight.records import Event, Frame, ImuSample, NavSample
 log = logging.getLogger(__name__)
 
 JUMP = 1.0  # s, more than any expected variation of the delay
+STEP_BACK = JUMP / 2  # s, of the stamps at a jump back; the time between two events makes it smaller than the jump
 USUAL = 30.0  # s, over which the least delay counts as the usual one: a backlog has longer delays only
 
 STREAMS: dict[type, str] = {Frame: "frames", NavSample: "GPS/INS rows", ImuSample: "IMU rows"}
@@ -38,8 +39,9 @@ class StreamClock:
     _shift_ns: int = 0  # added to all stamps
     _ahead: deque[tuple[float, float]] = field(default_factory=deque)  # s, (arrival, stamp minus arrival) of events on
     # time in the last `USUAL` seconds, each followed by smaller ones only; so the first is the largest
-    _behind: list[tuple[float, float]] = field(default_factory=list)  # s, (arrival, delay) of late events
-    _back: float = 0.0  # s, part of the shift that is due to jumps back
+    _newest_ns: int | None = None  # stamp of the last event, as it came
+    _behind: list[tuple[float, float]] = field(default_factory=list)  # s, (arrival, delay) of late events since a step
+    # back of the stamps
 
     def stamp(self, t_ns: int, arrival: float) -> int | None:
         """Return a stamp corrected for all jumps of the clock; None: the event is late and must be dropped.
@@ -50,19 +52,19 @@ class StreamClock:
         """
         ahead = 1e-9 * (t_ns + self._shift_ns) - arrival
         off = ahead - self._ahead[0][1] if self._ahead else 0.0
-        if off > 0.0 and self._back > 0.0:  # it was late, and catches up
-            caught = min(off, self._back)
-            self._shift_ns -= round(caught * 1e9)
-            self._back, off, ahead = self._back - caught, off - caught, ahead - caught
+        stepped = self._newest_ns is not None and 1e-9 * (self._newest_ns - t_ns) > STEP_BACK
+        self._newest_ns = t_ns
         if off > JUMP:
             self._take_out(off)
         elif off < -JUMP:
-            if not self._has_jumped_back(arrival, off):
+            if stepped or self._behind:
+                self._behind.append((arrival, off))
+            else:
+                self._forget(arrival)
+            if not self._behind or arrival - self._behind[0][0] < 2.0:
                 self.late += 1
                 return None
-            jump = max(by for _, by in self._behind)
-            self._back -= jump
-            self._take_out(jump)
+            self._take_out(max(by for _, by in self._behind))
         else:
             self._note(arrival, ahead)
         self._behind.clear()
@@ -72,19 +74,11 @@ class StreamClock:
         while self._ahead and self._ahead[-1][1] <= ahead:
             self._ahead.pop()
         self._ahead.append((arrival, ahead))
-        while self._ahead[0][0] < arrival - USUAL:
-            self._ahead.popleft()
+        self._forget(arrival)
 
-    def _has_jumped_back(self, arrival: float, off: float) -> bool:
-        """Whether the stream is behind for two seconds, in which it has caught up by less than a quarter of them."""
-        self._behind.append((arrival, off))
-        begun, off_then = self._behind[0]
-        if arrival - begun < 2.0:
-            return False
-        catches_up = off - off_then > 0.25 * (arrival - begun)
-        if catches_up:
-            self._behind = [(arrival, off)]
-        return not catches_up
+    def _forget(self, arrival: float) -> None:
+        while self._ahead and self._ahead[0][0] < arrival - USUAL:
+            self._ahead.popleft()
 
     def _take_out(self, jump: float) -> None:
         self._shift_ns -= round(jump * 1e9)
