@@ -21,6 +21,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+import hostile
 import protocol
 import seeds
 import trial
@@ -28,6 +29,7 @@ from cost import PATIENCE, Cost, pixels_left
 from grammar import Damage, drawn
 
 HEALTHY_SECONDS = 600.0  # limit of processor time of a healthy input
+MACHINES = {"protocol": protocol.trial, "hostile": hostile.trial}  # trials of the protocol machine, by seed
 TAGS = tuple(seeds.dji_tags())
 
 
@@ -78,8 +80,8 @@ class Fuzzer:
 
     def once(self, kind: str, seed: int) -> str | None:
         """Run one trial; return its fault."""
-        if kind == "protocol":
-            fault = protocol.trial(seed)
+        if kind in MACHINES:
+            fault = MACHINES[kind](seed)
             if fault is not None:
                 self._note(kind, fault.strip().splitlines()[-1], {"kind": kind, "seed": seed, "said": fault})
             return fault
@@ -123,7 +125,7 @@ def main() -> int:
     parser.add_argument("--trials", type=int, default=10**9, help="end after so many")
     parser.add_argument("--seed", type=int, default=None, help="default: another one each time")
     parser.add_argument("--keep", type=Path, default=Path("out/fuzz"))
-    parser.add_argument("--kinds", default=",".join([*seeds.INPUTS, "protocol"]))
+    parser.add_argument("--kinds", default=",".join([*seeds.INPUTS, *MACHINES]))
     parser.add_argument("--again", type=Path, default=None, help="a failure that was kept")
     given = parser.parse_args()
     kinds = given.kinds.split(",")
@@ -132,7 +134,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="alight-fuzz-") as folder:
         fuzzer = Fuzzer(Path(folder), given.keep, [tree["kind"]] if tree else kinds)
         if tree:
-            fault = protocol.trial(tree["seed"]) if "seed" in tree else None
+            fault = MACHINES[tree["kind"]](tree["seed"]) if "seed" in tree else None
             if "damages" in tree:
                 fault = "\n".join(map(str, fuzzer.judged(tree["kind"], [Damage(**d) for d in tree["damages"]])))
             sys.stdout.write(f"{fault}\n")

@@ -13,8 +13,6 @@ from alight.geometry import Pose
 from alight.records import Event
 from alight_sim.vehicle import UPWARDS
 
-_REACTION = 0.25  # s, time in which a commanded velocity is reached if the limits allow it
-_APPROACH = 0.9  # 1/s, speed per metre of remaining distance
 _BRAKING = 0.7  # share of the acceleration that is planned for braking
 _STAND = 0.02  # m above the ground within which the vehicle stands
 
@@ -27,6 +25,8 @@ class FlightLimits:
     climb: float = 2.5  # m/s
     sink: float = 1.5  # m/s
     acceleration: float = 3.0  # m/s^2
+    reaction: float = 0.25  # s, time in which a commanded velocity is reached if the other limits allow it
+    approach: float = 0.9  # 1/s, speed per metre of remaining distance
     turn: float = 1.0  # rad/s
     drag: float = 0.15  # 1/s, deceleration per m/s of air speed, which the lean into the wind balances
     lag: float = 0.0  # s, of each of two lags of the thrust behind its command; 0: it leans at once
@@ -117,7 +117,7 @@ class PointMass:
 
     def _fly(self, dt: float, wanted: Wanted) -> None:
         most = self.limits.acceleration
-        commanded = (self._wanted_velocity(wanted) - self.velocity) / _REACTION
+        commanded = (self._wanted_velocity(wanted) - self.velocity) / self.limits.reaction
         commanded *= min(1.0, most / max(float(np.linalg.norm(commanded)), 1e-9))
         decay = math.exp(-dt / 2.0)
         self._gust = decay * self._gust + math.sqrt(1 - decay**2) * self.gusts * self._rng.standard_normal(3)
@@ -145,7 +145,7 @@ class PointMass:
             left = wanted.position - self.position
             away = max(float(np.linalg.norm(left)), 1e-9)
             brakes = math.sqrt(2 * _BRAKING * self.limits.acceleration * away)
-            out = out + left * min(_APPROACH, brakes / away)
+            out = out + left * min(self.limits.approach, brakes / away)
         over = float(np.hypot(out[0], out[1]))
         out[:2] *= min(1.0, min(self.limits.speed, wanted.speed) / max(over, 1e-9))
         out[2] = min(max(out[2], -self.limits.sink, -wanted.sink), self.limits.climb)

@@ -57,6 +57,7 @@ def alight(*arguments: str | Path, **more: object) -> subprocess.CompletedProces
         (["live", "folder", "--follow", "--speed", "2", "--out", "out"], "--speed: is of a flight log"),
         (["live", "camera:0", "--rig", "rig", "--follow", "--out", "out"], "--follow: is for a folder"),
         (["live", "folder", "--rig", "rig", "--out", "out"], "--rig: is for cameras"),
+        (["live", "folder", "--signing-key", "key", "--out", "out"], "--signing-key: signs the link of --telemetry"),
         (["fly", "--link", "udp::1", "--camera", "folder", "--rig", "rig", "--out", "out"], "--rig: is for cameras"),
         (["settings", "--set", "lander"], "--set takes key=value"),
         (["settings", "--set", "lander.wings=2"], "lander.wings: unknown key"),

@@ -9,6 +9,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from alight.flight.autopilot import Autopilot, RemoteVehicle, TelemetryEvents
+from alight.flight.autopilot.signing import SigningKey
 from alight.flight.autopilot.vehicle_state import VehicleState
 from alight.geometry import LocalFrame
 from alight.records import FlightMode, Notice, NoticeKind, Telemetry
@@ -25,10 +26,10 @@ class Rig:
 
     def __init__(
         self, dialect: FirmwareName = "ardupilot", seed: int = 0, link: dict[str, float] | None = None,
-        step: float = 0.05, rates: dict[str, float] | None = None, **simulated: Any,
+        step: float = 0.05, rates: dict[str, float] | None = None, key: bytes | None = None, **simulated: Any,
     ) -> None:  # fmt: skip
-        self.sim = SimulatedAutopilot(DIALECTS[dialect], **simulated)
-        self.ours = Autopilot(rates, TelemetryEvents(LOCAL))
+        self.sim = SimulatedAutopilot(DIALECTS[dialect], key=key, **simulated)
+        self.ours = Autopilot(rates, TelemetryEvents(LOCAL), key=None if key is None else SigningKey(key, 0))
         self.up = LossyChannel(seed=seed, **(link or {}))
         self.down = LossyChannel(seed=seed + 1, **(link or {}))
         self.t, self.dt = START, step

@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from alight.flight.session.dry_run import VehicleCommands
 from alight.flight.session.pilot import LandingLog, LandingPilot, PilotView
+from alight.flight.session.take_off import TakeOff
 from alight.geometry import Pose
 from alight.pipeline import FlightPolicy
 from alight.pipeline.navigation import Navigation
@@ -20,7 +21,7 @@ from alight.records import Frame, Motion, MotionState
 from alight.records.executive import FlightEvent, FlightState, LookRecord, MapVerdict, Order, Situation, Transition
 from alight.records.telemetry import FirmwareName
 from alight.settings import load_settings
-from alight_sim.autopilot import EstimateError
+from alight_sim.autopilot import PX4_CONTROLLER, EstimateError
 from alight_sim.autopilot.dialects import Doing
 from alight_sim.point_mass import FlightLimits, PointMass
 
@@ -59,7 +60,8 @@ class PilotRig(Rig, LandingLog):
         **more: Any,
     ) -> None:  # fmt: skip
         # it leans in 0.1 s, as a real one: over a slow link targets are turned by the attitude of another moment
-        more = {"vehicle": PointMass(FlightLimits(lag=0.1)), **more}
+        limits = PX4_CONTROLLER if dialect == "px4" else FlightLimits(lag=0.1)
+        more = {"vehicle": PointMass(limits), **more}
         super().__init__(dialect, step=step, estimate=EstimateError(WRONG), **more)
         self.see, self.settings = see, load_settings("", ["executive.search_side=60", *settings])
         self._pilot: LandingPilot | None = None
@@ -83,7 +85,7 @@ class PilotRig(Rig, LandingLog):
         self.up.put = listen  # type: ignore[method-assign]
         tick, self._passed = self.ours.tick, 0
         self.ours.tick = lambda now_ns: tick(now_ns + LATER)  # type: ignore[method-assign]
-        self.each_step = self._fly
+        self.each_step = self.fly_on
         self.ticks = True  # False: somebody else ticks the pilot
 
     @property
@@ -110,6 +112,20 @@ class PilotRig(Rig, LandingLog):
         self.run(1.0)
         self._begun = self.t
         self.pilot.begin(self.now_ns, flying)
+
+    def take_off(self, height: float) -> TakeOff:
+        """Begin a take-off when the vehicle is ready; from now on, every step goes on with it."""
+        self.ready()
+        climb = TakeOff(self.vehicle, height, self.now_ns)
+
+        def tick() -> None:
+            climb.tick(self.now_ns)
+            for notice in self.heard[self._passed :]:
+                climb.on_notice(notice)
+            self._passed = len(self.heard)
+
+        self.each_step = tick
+        return climb
 
     def fly(self, until: FlightState, seconds: float = 400.0) -> bool:
         """Run until the executive is in a state; False: it never was."""
@@ -158,7 +174,8 @@ class PilotRig(Rig, LandingLog):
 
     # -- every step
 
-    def _fly(self) -> None:
+    def fly_on(self) -> None:
+        """Do at a step what our end does: expose, judge, and tick the pilot."""
         if self._pilot is None:
             return
         for due, do in [x for x in self._later if x[0] <= self.t]:

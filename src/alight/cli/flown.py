@@ -15,7 +15,8 @@ from alight.cli.app import ExitCode, app
 from alight.cli.terminal import is_terminal, live_table, print_line, print_stderr, save_result
 
 if TYPE_CHECKING:
-    from alight.flight.session.flight import FlightOutcome, FlightRequest, FlightStatus
+    from alight.flight.session.outcome import FlightOutcome
+    from alight.flight.session.request import FlightRequest, FlightStatus
 
 
 @dataclass(kw_only=True)
@@ -30,6 +31,10 @@ class FlightOptions(options.RouteOptions):
         typer.Option(
             min=-200.0, max=200.0, help="Ellipsoid minus sea level, m, where the receiver does not report it."
         ),
+    ] = None
+    signing_key: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Passphrase of MAVLink 2 signing; unsigned messages are dropped."),
     ] = None
     record: Annotated[
         bool, typer.Option("--record/--no-record", help="Record everything that comes in, and what is done, as MCAP.")
@@ -84,15 +89,20 @@ def live(o: LiveOptions) -> None:
     chosen = o.read_settings()
     o.refuse_unused(o.source, o.follow, o.speed)
     from alight.flight.live.run import LiveRequest, fly_live
+    from alight.records import InputError
     from alight.runner.opening import open_live
     from alight.runs import flown_home, wanted_home, with_home
 
     wanted = wanted_home(o.home, o.geoid)
+    if o.signing_key is not None and o.telemetry is None:
+        raise InputError("--signing-key: signs the link of --telemetry; give both or leave it out")
     opened = open_live(o.source, chosen, o.speed, o.follow, o.rig)
     if o.telemetry is not None:
+        from alight.flight.live.signing_key import read_signing_key
         from alight.flight.live.telemetry import with_telemetry
 
-        opened = with_telemetry(opened, o.telemetry, o.separation)
+        key = None if o.signing_key is None else read_signing_key(o.signing_key)
+        opened = with_telemetry(opened, o.telemetry, o.separation, key)
     compile_if_cold()  # a lane cannot answer while it compiles
     inputs = [path] if (path := Path(o.source)).is_file() else []
     request = LiveRequest(o.out, chosen, o.record, opened.real_time, o.force, inputs)
@@ -126,6 +136,9 @@ class FlyOptions(FlightOptions):
     take_off: Annotated[
         float | None, typer.Option(min=2.0, max=120.0, metavar="M", help="Arm and climb so high above home first.")
     ] = None
+    sites: Annotated[
+        Path | None, typer.Option(metavar="OUT", help="Folder of an earlier run: look at its sites first, in order.")
+    ] = None
     imu: Annotated[
         float, typer.Option(min=0.0, max=1000.0, metavar="HZ", help="Rate of IMU samples to request; 0: none.")
     ] = 100.0
@@ -137,13 +150,14 @@ def fly(o: FlyOptions) -> None:
     """Fly a landing: search, look, look again from lower down, land or give up. A pilot must be ready to take over."""
     chosen = o.read_settings()
     o.refuse_unused(o.camera)
-    from alight.flight.session.flight import FlightRequest
+    from alight.flight.session.request import FlightRequest
+    from alight.outputs.reading import read_sites
     from alight.records.executive import FlightState
     from alight.runs import wanted_home
 
     request = FlightRequest(
         o.link, o.camera, o.out, chosen, o.rig, o.dry_run, wanted_home(o.home, o.geoid), o.separation, o.take_off,
-        o.imu, o.record, o.force,
+        o.imu, o.signing_key, o.record, o.force, () if o.sites is None else read_sites(o.sites),
     )  # fmt: skip
     outcome = _flown(request)
     for check in outcome.checks:
@@ -157,8 +171,9 @@ def fly(o: FlyOptions) -> None:
         print_line(f"{words.get(outcome.state, 'ENDED')}  {outcome.why}")
     if outcome.result is None:
         raise typer.Exit(ExitCode.FAULT_FOUND)
-    save_result(outcome.result, o.out, o.force)
-    if not o.dry_run and outcome.state is not FlightState.LANDED:
+    landed = outcome.state is FlightState.LANDED and not o.dry_run
+    save_result(outcome.result, o.out, o.force, not landed)
+    if not (landed or o.dry_run):
         raise typer.Exit(ExitCode.NOT_LANDED)
 
 

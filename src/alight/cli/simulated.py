@@ -226,17 +226,19 @@ def rehearse(o: RehearseOptions) -> None:
 
 def _rehearsed(o: RehearseOptions) -> Touchdown | None:
     """Fly the simulated autopilot; return the oracle's verdict on its touchdown, None without a touchdown."""
+    from alight_sim.autopilot import PX4_CONTROLLER
     from alight_sim.oracle import OracleLander
     from alight_sim.rehearsal import Rehearsal
     from alight_sim.steered import SteeredFlight
     from alight_sim.steered.touchdown import judge_flight
     from alight_sim.world import START
 
-    lander, (east, north, _) = OracleLander(), START
+    lander, (east, north, _), px4 = OracleLander(), START, o.autopilot == "px4"
     flight = SteeredFlight(
-        o.scene, o.seed, start=(east, north, o.height), wind=(o.wind, 0.0, 0.0), radius=lander.reach, **o.pictures
-    )
-    with Rehearsal(flight, o.folder, o.port, o.autopilot == "px4") as rehearsal:
+        o.scene, o.seed, start=(east, north, o.height), wind=(o.wind, 0.0, 0.0), radius=lander.reach,
+        limits=PX4_CONTROLLER if px4 else None, **o.pictures,
+    )  # fmt: skip
+    with Rehearsal(flight, o.folder, o.port, px4) as rehearsal:
         print_line(f"ready: alight fly --link udp:127.0.0.1:{o.port} --camera {shlex.quote(str(o.folder))} --out OUT")
         with suppress(KeyboardInterrupt):
             rehearsal.wait(o.seconds, lambda: flight.contact is not None and not rehearsal.autopilot.logic.armed)

@@ -121,8 +121,8 @@ def _numbers(site: Site, place: Callable[[Sequence[float]], str]) -> str:
     )
 
 
-def print_result(result: RunResult) -> None:
-    """Print the answer of a run on stdout and its warnings on stderr."""
+def print_result(result: RunResult, answer: bool = True) -> None:
+    """Print the answer of a run on stdout (if `answer`) and its warnings on stderr."""
     from alight.report import warnings
 
     def place(position: Sequence[float]) -> str:
@@ -133,7 +133,8 @@ def print_result(result: RunResult) -> None:
 
     for w in warnings(result):
         print_stderr(f"warning: {w}")
-    print_answer(result.sites, place)
+    if answer:
+        print_answer(result.sites, place)
     if isinstance(found := result.notes.get("log"), list):
         for line in found:
             print_line(f"LOG  {line}")
@@ -141,14 +142,14 @@ def print_result(result: RunResult) -> None:
         print_line(f"PRIOR DEM  {result.notes['prior_dem']}")
 
 
-def save_result(result: RunResult, out: Path, force: bool) -> None:
-    """Print the answer of a run, write the folder `out`, and print the path of the report in it.
+def save_result(result: RunResult, out: Path, force: bool, answer: bool = True) -> None:
+    """Print the answer of a run (if `answer`), write the folder `out`, and print the path of the report in it.
 
     The answer comes first, in case the folder cannot be written. `force`: whether `out` may hold other files.
     """
     from alight.outputs import write_run
 
-    print_result(result)
+    print_result(result, answer)
     write_run(result, out, force)
     if result.route is not None and result.home is None and (out / "route.plan").exists():
         print_stderr(

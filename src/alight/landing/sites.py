@@ -246,7 +246,7 @@ def why_no_site(hazards: HazardMap, elevation: ElevationMap, settings: SitesSett
         room = float(hazards.clearance[safe].max())
         return (
             f"no safe site: {safe.sum() / seen.sum():.1%} of the seen ground is safe, but the most room there is "
-            f"{room:.2f} m and {settings.margin:.2f} m is wanted"
+            f"{math.floor(100 * room) / 100:.2f} m and {settings.margin:.2f} m is wanted"
         )
     shares = {bit: float(((hazards.reasons[seen] & bit) != 0).mean()) for bit in REASON_WORDS}
     ranked = sorted((s, b) for b, s in shares.items() if s >= 0.005)[::-1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import rasterio
@@ -86,6 +86,57 @@ class _RunJson(BaseModel):
     height_above_ground_m: FiniteFloat | None = None
     common_error: _CommonError | None = None
     settings: dict[str, Any] = {}
+
+
+class EarlierSite(NamedTuple):
+    """A site or candidate of an earlier run: its name, and its position in degrees."""
+
+    name: str
+    latitude: float
+    longitude: float
+
+
+class _Point(BaseModel):
+    type: Literal["Point"]
+    coordinates: tuple[
+        Annotated[FiniteFloat, Field(ge=-180, le=180)], Annotated[FiniteFloat, Field(ge=-90, le=90)], Any
+    ]
+
+
+class _SiteProperties(BaseModel):
+    kind: Literal["site", "candidate"]
+    rank: int
+
+
+class _SiteFeature(BaseModel):
+    geometry: _Point
+    properties: _SiteProperties
+
+
+class _SitesJson(BaseModel):
+    """The keys of sites.geojson that are read."""
+
+    features: list[_SiteFeature]
+
+
+def read_sites(folder: Path) -> tuple[EarlierSite, ...]:
+    """Read the sites and candidates of a run, in order of rank.
+
+    Raises:
+        InputError: the folder has no sites.geojson of a finished run, or none is listed there.
+    """
+    path = folder / "sites.geojson"
+    if not path.is_file():
+        raise InputError(f"{path}: missing; name the folder of a run whose place on Earth is known")
+    try:
+        tree = parse_json(read_text(path, LARGEST_JSON))
+        listed = sorted(validated(_SitesJson, tree).features, key=lambda f: f.properties.rank)
+    except DocumentError as e:
+        raise InputError(f"{path}: {e}; {AGAIN}") from e
+    if not listed:
+        raise InputError(f"{path}: that run found no site and no candidate; leave out --sites")
+    places = ((f.properties, f.geometry.coordinates) for f in listed)
+    return tuple(EarlierSite(f"{p.kind} {p.rank} of {folder}", at[1], at[0]) for p, at in places)
 
 
 def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[Any], Grid]:

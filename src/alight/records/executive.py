@@ -31,6 +31,7 @@ class FlightEvent(StrEnum):
     """Event that changes the state of a landing."""
 
     PILOT = "the pilot has taken over"
+    FAILSAFE = "a failsafe of the autopilot has taken over"
     LINK_LOST = "the autopilot is silent"
     NAVIGATION_LOST = "the motion is not known"
     CAMERA_LOST = "no pictures come"
@@ -77,12 +78,16 @@ class Situation:
     frozen: bool = False  # whether new pictures are bit-identical repetitions
     height: float | None = None  # metres, height above ground; None: unknown
     link: bool = True  # whether the autopilot sends reports
+    failsafe: str = ""  # failsafe of the autopilot that flies instead of a pilot, in words; empty: none
     pilot: bool = False  # whether someone else flies
+    contact: bool = False  # whether the autopilot has reported the ground for half a second, motors on or off
     standing: bool = False  # whether the vehicle is on the ground with motors off
     battery: float = 1.0  # remaining share; NaN: no longer reported
     wind: F64 | None = None  # (2,) or (3,) m/s, velocity of the air; None: unknown
-    holds: bool = True  # whether the autopilot has its own position and can hold it
-    offset: F64 | None = None  # (3,) metres, from the map frame to the world
+    holds: bool = True  # whether the autopilot has its own position, by a fix of its receiver, and can hold it
+    lands: bool = False  # whether the autopilot is in its landing mode
+    steers: bool = True  # whether that mode leads to the place, else straight down
+    offset: F64 | None = None  # (2,) metres, from the map frame to the plane of the autopilot's fence; None: unknown
 
     @property
     def wind_speed(self) -> float:

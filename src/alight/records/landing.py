@@ -117,10 +117,24 @@ class Site:
     look: NextView | None = None  # candidate: the next view; None: no view would settle the doubt
     p_wires: float = 1.0
 
+    @classmethod
+    def unjudged(cls, east: float, north: float, up: float) -> Site:
+        """Return a location, in metres, of which nothing is known yet."""
+        nan = float("nan")
+        return cls(
+            0, float(east), float(north), float(up), nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, Terrain.UNKNOWN,
+            nan, nan,
+        )  # fmt: skip
+
     @property
     def kind(self) -> Kind:
         """Whether the record is a site or a candidate; a candidate has a doubt."""
         return "site" if self.doubt is None else "candidate"
+
+    @property
+    def position_world(self) -> F64:
+        """Position, (3,) metres."""
+        return np.array([self.east, self.north, self.up])
 
     def moved(self, shift: F64) -> Site:
         """Return the site and its view moved by `shift`, (3,) metres."""

@@ -139,8 +139,10 @@ class Telemetry:
     boot_ns: int = 0  # newest time of the autopilot's clock, since its boot
     armed: bool = False
     mode: FlightMode = FlightMode.OTHER
+    failsafe: bool = False  # whether it reports a critical state, as when a failsafe of its own flies
     mode_name: str = ""  # the autopilot's own name of the mode
     landed: Landed = Landed.UNKNOWN
+    grounded: float = 0.0  # s from the first to the newest of the last consecutive reports of GROUND
     place: Place | None = None
     velocity_world: F64 = field(default_factory=_unknown)  # (3,) m/s
     world_from_body: F64 | None = None  # (3, 3) rotation
@@ -157,14 +159,29 @@ class Telemetry:
     @property
     def has_position(self) -> bool:
         """Whether the estimator reported a valid absolute position (`is_absolute`) in the last 10 s."""
-        messages = ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
-        age = min((self.ages[name] for name in messages if name in self.ages), default=0.0)
-        return self.estimator_flags is not None and age < 10.0 and is_absolute(self.estimator_flags)
+        recent = self._is_recent("EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
+        return self.estimator_flags is not None and recent and is_absolute(self.estimator_flags)
+
+    @property
+    def can_hold(self) -> bool:
+        """Whether the vehicle can hold its place: it has a position, and its receiver reported a fix in the last 10 s.
+
+        After the loss of GPS, an estimator reports its position for 5 to 8 s more, but cannot keep it.
+        """
+        return self.has_position and self.gps.fix >= FIX_3D and self._is_recent("GPS_RAW_INT")
+
+    def _is_recent(self, *messages: str) -> bool:
+        return min((self.ages[name] for name in messages if name in self.ages), default=0.0) < 10.0
 
     @property
     def ready(self) -> bool:
         """Whether the vehicle may be armed: pre-arm checks passed or disabled, and a valid absolute position."""
         return self.has_position and (self.checks_off or bool((self.sensors_healthy or 0) & PRE_ARM))
+
+    @property
+    def has_contact(self) -> bool:
+        """Whether the ground was reported for half a second, with motors on or off; one false report has no effect."""
+        return self.grounded >= 0.5
 
     @property
     def is_down(self) -> bool:
@@ -183,6 +200,7 @@ class NoticeKind(Enum):
     MODE = "mode"  # a change of mode that Alight requested, or its consequence
     COMMAND = "command"  # a command was accepted, refused or not answered
     TEXT = "text"  # a text message of the autopilot
+    INTERFERENCE = "interference"  # messages were dropped, or a second sender has the vehicle's identity
 
 
 @dataclass(frozen=True)

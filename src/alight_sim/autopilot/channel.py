@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +19,7 @@ class LossyChannel:
     double: float = 0.0  # probability of a second copy
     damage: float = 0.0  # probability that a byte of the datagram is wrong
     seed: int = 0
+    stalls_until: float = -math.inf  # s, before which nothing arrives; then all comes at once, as over TCP
     damaged: int = field(default=0, init=False)  # number of datagrams with a wrong byte
     _queue: list[tuple[float, int, bytes]] = field(default_factory=list, init=False)
     _count: int = field(default=0, init=False)
@@ -37,7 +39,7 @@ class LossyChannel:
     def get(self, t: float) -> list[bytes]:
         """Remove and return the datagrams that have arrived by time `t` (s), in order of arrival."""
         out = []
-        while self._queue and self._queue[0][0] <= t:
+        while self._queue and self._queue[0][0] <= t and t >= self.stalls_until:
             out.append(heapq.heappop(self._queue)[2])
         return out
 

@@ -10,6 +10,8 @@ from enum import Enum
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from alight.records.telemetry import FirmwareName
+from alight_sim.point_mass import FlightLimits
+from alight_sim.vehicle import GRAVITY
 
 
 class Doing(Enum):
@@ -31,6 +33,7 @@ class Dialect:
     LAND first waits for a target, 7 s at most.
     """
 
+    firmware: FirmwareName
     autopilot: int  # MAV_AUTOPILOT
     lacks: tuple[str, ...]  # messages that it does not send
     modes: Mapping[Doing, tuple[int, int]]  # parameters 2 and 3 of MAV_CMD_DO_SET_MODE per mode
@@ -40,6 +43,8 @@ class Dialect:
     turns_to_course: bool  # whether it turns the nose along the course if no heading is commanded
     speeds_by_command: bool  # whether guided flight obeys DO_CHANGE_SPEED, until its controller restarts
     returns_at_disarm: bool  # whether disarming restores the last mode that allows arming
+    lift_off_delay: float  # s from the lift-off until the landed state reports it
+    arms_with_throttle_down: bool  # whether it refuses to arm with the throttle stick above its lower end
     lands_in_guided: bool  # whether it detects the ground under position set-points too, not only under velocities
     dead_reckoning: float  # s for which its estimator keeps the position without the receiver
     target_delay: float  # s for which a target must be reported before LAND uses it; infinite: LAND ignores targets
@@ -54,8 +59,13 @@ class Dialect:
         return {pair: doing for doing, pair in self.modes.items()}.get((round(parameters[1]), round(parameters[2])))
 
 
+PX4_CONTROLLER = FlightLimits(  # PX4's position controller: MPC_TILTMAX_AIR is its only limit of the acceleration
+    speed=12.0, climb=3.0, sink=1.5, acceleration=GRAVITY * math.tan(math.radians(45.0)), reaction=1.0 / 1.8,
+    approach=0.95, lag=0.1,
+)  # fmt: skip
 DIALECTS: Mapping[FirmwareName, Dialect] = {
     "ardupilot": Dialect(
+        "ardupilot",
         mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
         ("ESTIMATOR_STATUS", "WIND_COV"),
         {
@@ -72,11 +82,14 @@ DIALECTS: Mapping[FirmwareName, Dialect] = {
         turns_to_course=True,
         speeds_by_command=True,
         returns_at_disarm=False,
+        lift_off_delay=3.3,  # measured in Copter 4.6.3
+        arms_with_throttle_down=True,
         lands_in_guided=True,
         dead_reckoning=7.6,  # measured in Copter 4.6.3
         target_delay=2.0,
     ),
     "px4": Dialect(
+        "px4",
         mavlink.MAV_AUTOPILOT_PX4,
         ("EKF_STATUS_REPORT", "WIND"),
         {
@@ -93,6 +106,8 @@ DIALECTS: Mapping[FirmwareName, Dialect] = {
         turns_to_course=False,
         speeds_by_command=False,
         returns_at_disarm=True,  # since 1.14
+        lift_off_delay=0.0,
+        arms_with_throttle_down=False,
         lands_in_guided=False,  # its land detector needs a velocity set-point
         dead_reckoning=5.0,  # EKF2_NOAID_TOUT
         target_delay=math.inf,

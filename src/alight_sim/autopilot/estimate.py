@@ -32,23 +32,29 @@ class Estimate(Protocol):
 
 @dataclass
 class EstimateError:
-    """Error of the estimated position alone: a constant offset plus a random walk, in metres east, north, up."""
+    """Error of the estimated position alone: a constant offset plus a random walk, in metres east, north, up.
+
+    While `receives` is false, the receiver has no position.
+    """
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     walk: float = 0.0  # metres per square root of a second
     seed: int = 0
+    receives: bool = True
     error: F64 = field(init=False)  # (3,) metres, at present
 
     def __post_init__(self) -> None:
         self._rng = np.random.default_rng(self.seed)
         self.error = np.array(self.offset, dtype=np.float64)
+        self._blind = 0.0  # s since the receiver's last position
 
     @property
     def now(self) -> NavigationError:
         """Present errors; only the position has any."""
-        return NavigationError(self.error, np.eye(3), np.eye(3), np.zeros(3), np.array([0.8, 0.8, 1.2]), 0.0)
+        return NavigationError(self.error, np.eye(3), np.eye(3), np.zeros(3), np.array([0.8, 0.8, 1.2]), self._blind)
 
     def step(self, dt: float) -> None:
-        """Advance the random walk by `dt` seconds."""
+        """Advance by `dt` seconds."""
+        self._blind = 0.0 if self.receives else self._blind + dt
         if self.walk > 0:
             self.error = self.error + self.walk * dt**0.5 * self._rng.standard_normal(3)

@@ -25,6 +25,7 @@ class FlightLogic:
     disarms: bool = True  # whether it disarms after a landing; False: like PX4 with COM_DISARM_LAND below 0
     interlock: bool | None = None  # whether a helicopter's rotor may turn; None: it has no such switch
     doing: Doing = Doing.PILOT
+    failsafe: bool = False  # whether its heartbeat reports a critical state
     texts: list[str] = field(default_factory=list)  # status texts since they were last read
 
     def __post_init__(self) -> None:
@@ -41,12 +42,13 @@ class FlightLogic:
         self._here = np.zeros(3)
         self._anchor = np.zeros(3)
         self._stands = True
+        self._t, self._lifted_at = 0.0, -math.inf  # s, time of the last step, and of the last lift-off
         self._armable = Doing.HOLD  # the last mode that allows arming
 
     @property
     def landed_state(self) -> int:
         """MAV_LANDED_STATE: 1 on the ground, 2 in the air, 4 landing."""
-        if self._stands and not self._is_blind:
+        if (self._stands and not self._is_blind) or self._t - self._lifted_at < self.dialect.lift_off_delay:
             return 1
         return 4 if self.doing is Doing.LAND else 2
 
@@ -131,7 +133,9 @@ class FlightLogic:
 
         `here`: (3,) metres, estimated position. `stands`: whether the vehicle is on the ground.
         """
-        self._here, self._stands = here, stands
+        if self._stands and not stands and self.armed and self.doing is not Doing.LAND:
+            self._lifted_at = t
+        self._t, self._here, self._stands = t, here, stands
         self._disarm_on_ground(t)
         if not self.armed or not self._runs(t):
             return None

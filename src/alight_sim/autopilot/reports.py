@@ -49,6 +49,7 @@ class Reports:
         self._due: dict[str, float] = {}
         self._heartbeat, self._mode = 0.0, 0  # s, when the next heartbeat is due; custom mode of the last one
         self.sticks = [1500, 1500, 1100, 1500]
+        self.measures_wind = True  # False: like a Copter without EK3_DRAG_..., whose WIND is always 0
         self.lacks = set(lacks)  # messages that this build cannot send
         self.silent: set[str] = set()  # messages that it could send, but for which it has no data
         self.makers: dict[str, Maker] = dict(MAKERS)
@@ -74,15 +75,17 @@ class Reports:
                 self._due[name] = max(self._due[name] + interval, t)
                 if (made := self.makers[name](now)) is not None:
                     now.send(made)
+        severity = mavlink.MAV_SEVERITY_WARNING if now.logic.failsafe else mavlink.MAV_SEVERITY_INFO
         for text in now.logic.texts:
-            now.send(mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_INFO, text.encode()))
+            now.send(mavlink.MAVLink_statustext_message(severity, text.encode()))
         now.logic.texts.clear()
 
 
 def _heartbeat(now: SimulatedAutopilot) -> Any:
     base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if now.logic.armed else 0)
     mode = now.dialect.number(now.logic.doing)
-    return mavlink.MAVLink_heartbeat_message(now.kind, now.dialect.autopilot, base, mode, mavlink.MAV_STATE_ACTIVE, 3)
+    status = mavlink.MAV_STATE_CRITICAL if now.logic.failsafe else mavlink.MAV_STATE_ACTIVE
+    return mavlink.MAVLink_heartbeat_message(now.kind, now.dialect.autopilot, base, mode, status, 3)
 
 
 def _sys_status(now: SimulatedAutopilot) -> Any:
@@ -183,6 +186,8 @@ def _estimator_status(now: SimulatedAutopilot) -> Any:
 
 
 def _wind(now: SimulatedAutopilot) -> Any:
+    if not now.reports.measures_wind:
+        return mavlink.MAVLink_wind_message(-180.0, 0.0, 0.0)
     north, east, down = _SWAP @ now.vehicle.wind_world
     return mavlink.MAVLink_wind_message(math.degrees(math.atan2(-east, -north)), math.hypot(north, east), down)
 

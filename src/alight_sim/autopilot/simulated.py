@@ -16,6 +16,7 @@ from alight.records import Event
 from alight_sim.autopilot.dialects import DIALECTS, Dialect, Doing
 from alight_sim.autopilot.estimate import Estimate, EstimateError
 from alight_sim.autopilot.flight_logic import FlightLogic
+from alight_sim.autopilot.memory import AutopilotMemory
 from alight_sim.autopilot.reports import Reports
 from alight_sim.point_mass import PointMass, Wanted
 
@@ -93,6 +94,7 @@ class SimulatedAutopilot:
     Args:
         drift: relative error of its clock's rate.
         kind: MAV_TYPE.
+        key: signs what is sent, and what is not signed with it is ignored; None: nothing is signed.
     """
 
     def __init__(
@@ -104,6 +106,7 @@ class SimulatedAutopilot:
         drift: float = 0.0,
         system: int = 1,
         kind: int = mavlink.MAV_TYPE_QUADROTOR,
+        key: bytes | None = None,
     ) -> None:
         self.dialect, self.kind, self._drift, self._system = dialect, kind, drift, system
         self.vehicle: TrueVehicle = vehicle or PointMass()
@@ -112,7 +115,9 @@ class SimulatedAutopilot:
         self.healthy = self.checks = True  # checks: whether the checks before arming are switched on
         self._mavlink = mavlink.MAVLink(None, srcSystem=system, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         self._mavlink.robust_parsing = True
+        self._mavlink.signing.secret_key, self._mavlink.signing.sign_outgoing = key, key is not None
         self._out: list[bytes] = []
+        self.memory = AutopilotMemory(dialect.firmware, self.send)
         self.reboot()
 
     def reboot(self) -> None:
@@ -163,14 +168,21 @@ class SimulatedAutopilot:
 
     def hover(self, doing: Doing = Doing.HOLD) -> None:
         """Set the state after a take-off to the present position: armed, in flight, in mode `doing`."""
-        self.logic.armed, self.boot = True, _START_UP + 1.0
-        self.logic.step(self.boot, self.estimated, False)
+        self.boot = _START_UP + 1.0
+        self.logic.step(self.boot, self.estimated, False)  # before it is armed: it did not lift off just now
+        self.logic.armed = True
         self.logic.doing = Doing.TAKE_OFF
         self.logic.enter(doing, self.boot)
 
     def refuse_modes(self, seconds: float) -> None:
         """Refuse all commands that change the mode for the next `seconds`."""
         self._refuses_until = self.boot + seconds
+
+    def fail_safe(self, doing: Doing, *texts: str) -> None:
+        """Change the mode to `doing` as a failsafe of the autopilot does: in a critical state, with its texts."""
+        self.logic.failsafe = True
+        self.logic.texts += texts
+        self.logic.enter(doing, self.boot)
 
     def pilot(self, doing: Doing = Doing.PILOT) -> None:
         """Change the mode to `doing` as a pilot does, not by a command over the link."""
@@ -216,6 +228,8 @@ class SimulatedAutopilot:
             self._guide(m, self.home.metres(m.lat_int * 1e-7, m.lon_int * 1e-7, m.alt))
         elif name == "SET_POSITION_TARGET_LOCAL_NED":
             self._guide(m, np.array([m.y, m.x, -m.z]))
+        elif name in ("PARAM_REQUEST_READ", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT"):
+            self.memory.on_message(m)
         elif name == "LANDING_TARGET" and m.position_valid and m.frame == mavlink.MAV_FRAME_BODY_FRD:
             self._on_landing_target(m)
 
@@ -235,6 +249,12 @@ class SimulatedAutopilot:
         if np.abs(angles).max() <= 0.05 * max(m.distance, 1.0):
             self.logic.aim_landing(self.estimated + self.attitude @ np.array([m.x, -m.y, -m.z]), self.boot)
 
+    def _may_start(self, arms: bool) -> bool:
+        high = arms and self.dialect.arms_with_throttle_down and self.reports.sticks[2] > 1150
+        if high:
+            self.logic.texts.append("Arm: Throttle (RC3) is not neutral")
+        return not high
+
     def execute(self, command: int, p: tuple[float, ...]) -> int:
         """Execute a MAV_CMD with its seven parameters; return its MAV_RESULT."""
         denied, failed, logic = mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_FAILED, self.logic
@@ -243,11 +263,14 @@ class SimulatedAutopilot:
             done, failed = self.reports.request(round(p[0]), p[1]), denied
         elif command == mavlink.MAV_CMD_DO_SET_MODE:
             doing = self.dialect.doing(p) if self.boot >= self._refuses_until else None
+            if doing is Doing.HOLD and not self.located:
+                logic.texts.append("Mode change to BRAKE failed: requires position")
+                doing = None
             done = doing is not None and logic.enter(doing, self.boot)
         elif command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             if p[0] > 0.5 and not self.ready:
                 return int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
-            done = logic.arm(p[0] > 0.5)
+            done = self._may_start(p[0] > 0.5) and logic.arm(p[0] > 0.5)
         elif command == mavlink.MAV_CMD_NAV_TAKEOFF:
             done = logic.take_off(p[6] - (self.home.altitude_msl if self.dialect.needs_setpoints else 0))
         elif command == mavlink.MAV_CMD_DO_CHANGE_SPEED:

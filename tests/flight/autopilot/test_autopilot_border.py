@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -210,19 +211,24 @@ def test_a_setpoint_without_sense_is_refused(setpoint: Setpoint) -> None:
 def test_a_setpoint_ahead_is_as_far_as_its_speed_allows() -> None:
     """30 m to the north and 10 m down, at 2 m/s and 0.5 m/s: at 0.5 1/s the set-point is 4 m ahead and 1 m lower."""
 
-    def reach(speed: float, upright: bool) -> float:
-        return speed / 0.5
+    class Plain(ArduPilotFirmware):
+        def reach(self, speed: float, upright: bool) -> float:
+            return speed / 0.5
 
     here = Place(47.6, 13.4, 540.0, 40.0)
     far = Target.of(Setpoint(np.array([3.0, 30.0, 30.0]), speed=2.0, sink=0.5), tie())
-    near = far.near(here, reach).place
+    near = far.near(here, np.zeros(3), Plain()).place
     assert near is not None
     assert (near.latitude - here.latitude) * 111_132 == pytest.approx(4.0, abs=0.01)
     assert (near.longitude, near.altitude_msl) == (pytest.approx(13.4, abs=1e-9), pytest.approx(539.0))
     assert near.above_home == pytest.approx(39.0)
     up = Target.of(Setpoint(np.array([3.0, 1.0, 42.0]), speed=2.0, sink=0.5), tie())
-    assert up.near(here, reach).place == up.place
-    high = Target.of(Setpoint(np.array([3.0, 0.0, 90.0]), speed=2.0, sink=0.5), tie()).near(here, reach).place
+    same = up.near(here, np.zeros(3), Plain()).place
+    assert same is not None
+    assert up.place is not None
+    assert_allclose(astuple(same), astuple(up.place), rtol=1e-12)
+    higher = Target.of(Setpoint(np.array([3.0, 0.0, 90.0]), speed=2.0, sink=0.5), tie())
+    high = higher.near(here, np.zeros(3), Plain()).place
     assert high is not None
     assert high.altitude_msl == pytest.approx(546.0)  # no set-point lets it climb faster than 3 m/s
 
@@ -347,3 +353,11 @@ def test_two_places_are_as_near_across_the_date_line_as_elsewhere() -> None:
     here = Place(-17.0, 179.99999, 5.0, 5.0)
     assert metres_between(here, Place(-17.0, -179.99999, 5.0, 5.0)) == pytest.approx(2.126, abs=0.01)
     assert metres_between(here, Place(-17.0, 179.99999, 9.0, 9.0)) == pytest.approx(4.0)
+
+
+def test_a_reported_wind_of_exactly_zero_is_unknown() -> None:
+    """A Copter without drag parameters reports WIND(-180, 0, 0) in 8 m/s of wind."""
+    state = VehicleState(ArduPilotFirmware())
+    for speed, known in ((5.0, True), (0.0, False), (0.1, True)):
+        state.on_message("WIND", mavlink.MAVLink_wind_message(-180.0, speed, 0.0), 0)
+        assert np.isfinite(state.newest.wind_world).all() == known

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 from alight.flight.autopilot import EstimateTie, Setpoint
 from alight.records import FlightMode, Landed, NoticeKind
-from alight_sim.autopilot import EstimateError, FlightLimits, PointMass, Wanted
+from alight_sim.autopilot import PX4_CONTROLLER, EstimateError, FlightLimits, PointMass, Wanted
 from alight_sim.autopilot.dialects import Doing
 
 WRONG = (3.0, -2.0, 1.5)  # metres
@@ -197,7 +197,8 @@ def test_a_helicopter_of_ardupilot_is_a_vehicle_too() -> None:
 @BOTH
 def test_telemetry_follows_the_true_flight(dialect: str) -> None:
     """Rows of GPS/INS follow attitude, velocity and place of the simulated vehicle in a turn with wind."""
-    body = PointMass(wind_world=np.array([-5.0, 3.0, 0.0]))
+    limits = PX4_CONTROLLER if dialect == "px4" else FlightLimits()
+    body = PointMass(limits, wind_world=np.array([-5.0, 3.0, 0.0]))
     rig = Rig(dialect, step=0.02, vehicle=body)
     rig.up_and_flying(10.0)
     truth: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}

@@ -11,6 +11,7 @@ import socket
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,28 @@ def test_tcp_comes_back_after_the_other_side_has_gone() -> None:
     assert peer.recv(10) == b"two"
     for s in (peer, server):
         s.close()
+    link.close()
+
+
+def test_what_waits_in_a_link_is_dropped_when_it_is_opened_again() -> None:
+    """A stalled connection once delivered eleven set-points after the flight was over."""
+    with socket.create_server((LOCAL, 0)) as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        link = open_link(f"tcp:{LOCAL}:{server.getsockname()[1]}", retry=0.0)
+        peer, _ = server.accept()
+        written = 0
+        while link.write(bytes(2000)):  # nobody reads
+            written += 2000
+        link.reopen()
+        assert link.broken
+        arrived = 0
+        with suppress(ConnectionResetError):
+            while data := peer.recv(65_535):
+                arrived += len(data)
+        assert arrived < written - 10_000
+        assert link.read(0.02) == []
+        assert not link.broken
+        peer.close()
     link.close()
 
 
@@ -342,3 +365,20 @@ def test_a_real_ardupilot_takes_off_and_lands(sitl: str) -> None:
     assert drive(link, ours, 60, lambda: bool(ours.telemetry and ours.telemetry.is_down)), ours.notices()
     assert any(isinstance(s, NavSample) and s.position_world is not None for s in ours.samples())
     link.close()
+
+
+def test_a_flood_of_senders_is_not_answered_one_and_all() -> None:
+    port = free_port()
+    link = open_link(f"udp:127.0.0.1:{port}")
+    senders = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(12)]
+    try:
+        for s in senders:
+            s.setblocking(False)
+            s.sendto(b"x", ("127.0.0.1", port))
+        assert len(link.read(1.0)) == 12
+        link.write(b"y")
+        assert len(select.select(senders, [], [], 0.2)[0]) == 8
+    finally:
+        for s in senders:
+            s.close()
+        link.close()

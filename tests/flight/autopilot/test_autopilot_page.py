@@ -9,17 +9,24 @@ import pytest
 from over_a_link import free_port
 
 from alight.flight.autopilot.firmware import ArduPilotFirmware, Px4Firmware
+from alight.flight.autopilot.parameters import PARAMETERS, parameters_table
 from alight_sim.autopilot import SimulatedAutopilot, UdpServer
 
 PAGE = (Path(__file__).parents[3] / "docs" / "autopilot.md").read_text(encoding="utf-8")
+MESSAGES = PAGE.split("## Messages that it requests")[1].split("\n## ")[0]
 EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, flags=re.S)
 
 
 def test_the_page_has_the_rates_that_are_asked_for() -> None:
     rates: dict[str, float] = {}
-    for names, rate in re.findall(r"^\| (`[^|]*) \| ([\d.]+) \|", PAGE, flags=re.M):
+    for names, rate in re.findall(r"^\| (`[^|]*) \| ([\d.]+) \|", MESSAGES, flags=re.M):
         rates |= {name: float(rate) for name in re.findall(r"`([A-Z_]+)`", names)}
     assert rates == {**ArduPilotFirmware.rates, **Px4Firmware.rates}
+
+
+@pytest.mark.parametrize("firmware", sorted(PARAMETERS))
+def test_the_page_has_the_table_of_parameters(firmware: str) -> None:
+    assert parameters_table(firmware) in PAGE
 
 
 def test_the_example_reads_telemetry(capsys: pytest.CaptureFixture[str]) -> None:

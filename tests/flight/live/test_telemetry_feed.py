@@ -132,6 +132,21 @@ def test_a_listener_that_comes_back_hears_the_vehicle_again(
     assert wait(60.0, feed, lambda: vehicle(feed).alive)
 
 
+def test_the_link_of_a_vehicle_that_is_lost_is_opened_again(
+    pair: tuple[TelemetryFeed, UdpServer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    feed, server = pair
+    pending, opened = server.autopilot.pending, list[bool]()
+    reopen = feed.link.reopen
+    monkeypatch.setattr(feed.link, "reopen", lambda: (opened.append(True), reopen()))
+    monkeypatch.setattr(server.autopilot, "pending", lambda: [])
+    assert wait(60.0, feed, lambda: bool(opened))
+    assert not vehicle(feed).alive
+    monkeypatch.setattr(server.autopilot, "pending", pending)
+    assert wait(60.0, feed, lambda: vehicle(feed).alive)
+    assert len(opened) == 1
+
+
 def test_a_flight_that_stood_still_itself_has_lost_nothing(pair: tuple[TelemetryFeed, UdpServer]) -> None:
     """The flight holds the lock for two seconds: the listener is blocked, and continues at once."""
     feed, _ = pair

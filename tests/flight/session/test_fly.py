@@ -12,7 +12,6 @@ from made_up_ground import Ground, clearer_from_below
 from pilot_rig import PLACE, VERDICT, PilotRig, flying
 
 from alight.flight.session.dry_run import DryRunVehicle
-from alight.flight.session.take_off import TakeOff
 from alight.records import NoticeKind
 from alight.records.executive import FlightEvent, FlightState
 from alight_sim.autopilot.dialects import Doing
@@ -101,7 +100,7 @@ def drain(r: PilotRig) -> None:
 
 FAULTS: dict[Callable[[PilotRig], None], tuple[FlightEvent, FlightState, FlightState]] = {
     # the event, the state that it leads to from an approach, and from a commit
-    lose_gps: (E.NAVIGATION_LOST, S.HOLD, S.ABORT),
+    lose_gps: (E.NAVIGATION_LOST, S.HOLD, S.COMMIT),
     freeze_camera: (E.CAMERA_LOST, S.HOLD, S.ABORT),
     stop_camera: (E.CAMERA_LOST, S.HOLD, S.ABORT),
     lose_link: (E.LINK_LOST, S.HANDED_OVER, S.HANDED_OVER),
@@ -161,7 +160,7 @@ def test_the_autopilot_holds_while_something_is_missing_and_goes_on_after_it(dia
 
 
 @EITHER
-def test_gps_that_stays_away_ends_in_a_hold_of_the_autopilot(dialect: str) -> None:
+def test_gps_that_stays_away_ends_in_a_landing_of_the_autopilot(dialect: str) -> None:
     r = flying(dialect)
     assert r.fly(S.APPROACH)
     lose_gps(r)
@@ -171,7 +170,7 @@ def test_gps_that_stays_away_ends_in_a_hold_of_the_autopilot(dialect: str) -> No
     t = r.t
     r.run(20.0)
     assert not r.moving_since(t + 2 * r.dt)
-    assert r.doing is Doing.HOLD
+    assert r.doing is Doing.LAND  # a hold needs a position
 
 
 @EITHER
@@ -208,6 +207,7 @@ def test_a_vehicle_that_is_blown_off_the_place_is_led_back_above_it(dialect: str
     assert r.doing is Doing.LAND
     r.sim.vehicle.position[0] += 1.5
     assert r.run(5.0, lambda: r.doing is Doing.GUIDED)
+    assert sum("the descent waits" in x for x in r.orders) == 1
     low = r.sim.vehicle.position[2]
     assert r.run(20.0, lambda: r.doing is Doing.LAND)
     assert r.sim.vehicle.position[2] > low - 0.3
@@ -274,9 +274,7 @@ def test_a_mode_that_is_refused_is_asked_for_again() -> None:
 @BOTH
 def test_it_takes_off(dialect: str) -> None:
     r = PilotRig(Ground({}).seen, dialect)
-    r.ready()
-    climb = TakeOff(r.vehicle, 12.0, r.now_ns)
-    r.each_step = lambda: climb.tick(r.now_ns)
+    climb = r.take_off(12.0)
     assert r.run(60, lambda: climb.done)
     assert r.sim.estimated[2] > 11.0
     r.run(5.0)
@@ -285,9 +283,7 @@ def test_it_takes_off(dialect: str) -> None:
 
 def test_a_helicopter_waits_for_its_interlock_and_says_so() -> None:
     r = PilotRig(Ground({}).seen, kind=4)
-    r.ready()
-    climb = TakeOff(r.vehicle, 12.0, r.now_ns)
-    r.each_step = lambda: climb.tick(r.now_ns)
+    climb = r.take_off(12.0)
     assert r.run(10, lambda: "interlock" in climb.hint)
     r.run(4.0)
     r.sim.logic.interlock = True
@@ -298,9 +294,7 @@ def test_a_helicopter_waits_for_its_interlock_and_says_so() -> None:
 def test_motors_that_somebody_stops_are_not_started_again() -> None:
     """A helicopter without its interlock is disarmed after 10 s, and a pilot may stop the motors at any time."""
     r = PilotRig(Ground({}).seen, kind=4)
-    r.ready()
-    climb = TakeOff(r.vehicle, 12.0, r.now_ns)
-    r.each_step = lambda: climb.tick(r.now_ns)
+    climb = r.take_off(12.0)
     assert r.run(30, lambda: bool(climb.failed))
     assert "stopped" in climb.failed
     r.run(8.0)
@@ -309,9 +303,7 @@ def test_motors_that_somebody_stops_are_not_started_again() -> None:
 
 def test_a_take_off_ends_when_somebody_else_flies() -> None:
     r = PilotRig(Ground({}).seen)
-    r.ready()
-    climb = TakeOff(r.vehicle, 30.0, r.now_ns)
-    r.each_step = lambda: climb.tick(r.now_ns)
+    climb = r.take_off(30.0)
     assert r.run(30, lambda: r.sim.estimated[2] > 3.0)
     take_over(r)
     assert r.run(5.0, lambda: bool(climb.failed))
@@ -319,6 +311,25 @@ def test_a_take_off_ends_when_somebody_else_flies() -> None:
     t = r.t
     r.run(10.0)
     assert not r.moving_since(t + 2 * r.dt)
+
+
+def test_it_is_ordered_once_to_take_off_although_the_lift_off_is_reported_late() -> None:
+    r = PilotRig(Ground({}).seen)
+    climb = r.take_off(12.0)
+    assert r.run(60, lambda: climb.done)
+    assert sum(m.get_type() == "COMMAND_LONG" and m.command == 22 for _, m in r.wire) == 1
+
+
+def test_a_refusal_to_arm_ends_the_take_off_with_the_reason() -> None:
+    """Tried again, it would start the motors when a person lowers the stick, without a word."""
+    r = PilotRig(Ground({}).seen)
+    r.sim.reports.sticks[2] = 1500
+    climb = r.take_off(12.0)
+    assert r.run(10, lambda: bool(climb.failed))
+    assert climb.failed == "arm: failed; Arm: Throttle (RC3) is not neutral"
+    r.sim.reports.sticks[2] = 1100
+    r.run(5.0)
+    assert not r.sim.logic.armed
 
 
 @EITHER

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import Future
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from length import long
 from made_up_ground import Ground
 from pilot_rig import PilotRig, seldom
+from session_rig import Clock
 
 from alight.checks.result import CheckResult, Judged
 from alight.flight.autopilot import StreamRate
+from alight.flight.live.speed import Speed, measure_speed
+from alight.flight.session import checks
 from alight.flight.session import preflight as p
-from alight.flight.session.flight import FlightRequest, fly_vehicle
+from alight.flight.session.flight import fly_vehicle
 from alight.flight.session.inputs import PictureWatch
+from alight.flight.session.request import FlightRequest, FlightStatus
 from alight.geometry import Pose
 from alight.records import Frame, InputError, Motion, MotionState
 from alight.settings import Settings
@@ -32,8 +39,10 @@ def rig(**more: Any) -> PilotRig:
 
 def hovering(seconds: float = 6.0, silent: frozenset[str] = frozenset()) -> PilotRig:
     r = rig()
+    r.sim.vehicle.body.wind_world[0] = 1.0  # exactly 0 is unknown
     r.sim.reports.silent |= silent
     r.up_and_flying(20.0)
+    r.sim.reports.sticks[2] = 1500  # a throttle that is down is a warning
     r.run(seconds)
     return r
 
@@ -164,6 +173,7 @@ def test_pictures_of_an_earlier_flight_are_not_used() -> None:
     pictures = [Frame(now - age, (np.full((2, 2), k, np.uint8),), "x") for k, age in enumerate(ages)]
     assert [watch.fresh(p, now) is not None for p in pictures] == [False, False, False, True, True]
     assert watch.frames == 5
+    assert watch.rate(now) == pytest.approx(2 / 3)
 
 
 def test_a_vehicle_on_the_ground_needs_a_take_off() -> None:
@@ -181,6 +191,7 @@ def test_a_vehicle_on_the_ground_needs_a_take_off() -> None:
 
 def test_silence_and_strangers_are_told_apart() -> None:
     assert "nothing has come over udp:x" in p.judge_link("udp:x", 0, None, "")[0].evidence
+    assert "is signed with the key: 9 unsigned" in p.judge_link("udp:x", 0, None, "", "9 unsigned")[0].evidence
     assert "no heartbeat" in p.judge_link("udp:x", 5, None, "")[1].evidence
     assert "not supported" in p.judge_link("udp:x", 5, None, "system 3: this autopilot is not supported")[1].evidence
     r = hovering()
@@ -228,6 +239,60 @@ def test_the_machine(tmp_path: Path) -> None:
     cold, disk = p.judge_machine(False, tmp_path, rig, 5.0, 1e9, True)
     assert (cold.verdict, disk.verdict) == (BAD, WARNING)
     assert "alight warmup" in cold.mend
+
+
+@pytest.mark.parametrize(
+    ("speed", "verdict", "words"),
+    [
+        (Speed(0.08, 0.2, 0.9), GOOD, "a verdict takes 0.90 s of 2.50 s"),
+        (Speed(0.08, 0.2, 4.7), WARNING, "a verdict takes 4.70 s of 2.50 s"),
+        (Speed(0.3, 0.2, 0.9), WARNING, "a frame takes 0.30 s of 0.25 s"),
+        (Speed(0.08, math.nan, math.nan), WARNING, "no verdict in 20 s"),
+    ],
+)
+def test_a_computer_that_is_too_slow_is_warned_of(speed: Speed, verdict: Judged, words: str) -> None:
+    found = p.judge_speed(speed, 5.0)
+    assert found.verdict is verdict
+    assert words in found.evidence
+
+
+@pytest.mark.parametrize(
+    ("located", "measured", "seconds", "words"),
+    [
+        (True, 3.0, 3.0, "a verdict takes 0.90 s of 2.50 s"),
+        (True, math.inf, 5.0, "its speed was not measured in 5 s"),
+        (False, 3.0, 5.0, "a verdict takes 0.90 s of 2.50 s"),
+    ],
+)
+def test_the_speed_and_the_vehicle_are_waited_for_and_neither_for_ever(
+    located: bool, measured: float, seconds: float, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    r, speed, lines = rig(), Future[Speed](), list[str]()
+    r.ready()
+    monkeypatch.setattr(checks, "time", Clock(r))
+    monkeypatch.setattr(checks, "PATIENCE", 5.0)
+    known = SimpleNamespace(missing="")
+    feed: Any = SimpleNamespace(lock=nullcontext(), autopilot=r.ours, located=located, events_of=known)
+    found = checks.FlightChecks(FlightRequest("udp:x", "camera:0", Path("out"), Settings()), feed, [])
+    begin = r.t
+
+    def on_status(status: FlightStatus) -> None:
+        lines.extend(c.evidence for c in status.checks if c.name == "computer")
+        if r.t > begin + measured and not speed.done():
+            speed.set_result(Speed(0.08, 0.2, 0.9))
+
+    assert found.wait_for_vehicle(speed, on_status, lines.append) is located
+    assert r.t - begin == pytest.approx(seconds, abs=0.2)
+    assert lines[0] == "its speed is being measured"
+    assert words in next(c.evidence for c in found.found if c.name == "computer")
+
+
+@long
+def test_the_speed_of_this_computer_is_measured() -> None:
+    """The lanes work over drawn ground; on a busy machine there may be no time for a step of the map or a verdict."""
+    speed = measure_speed(default_rig(), Settings(), 5.0)
+    assert speed.frame > 0.0
+    assert not speed.verdict < speed.frame
 
 
 def test_a_search_that_would_begin_low_is_told_of(tmp_path: Path) -> None:

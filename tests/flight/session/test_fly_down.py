@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from length import BOTH, EITHER, in_turn
 from made_up_ground import Ground, clearer_from_below
 from pilot_rig import PLACE, PilotRig, flying, raised
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from alight.flight.autopilot.firmware import ArduPilotFirmware, Px4Firmware
 from alight.flight.session.orders import Contact
@@ -146,7 +150,8 @@ def test_contact_takes_a_while_of_not_sinking() -> None:
     assert felt_after(0.5, heard(0.0)) == pytest.approx(0.8)
     assert felt_after(2.9, heard(0.0)) == pytest.approx(2.0)
     assert felt_after(None, heard(0.0)) == pytest.approx(2.0)
-    assert felt_after(5.0, heard(0.0, landed=Landed.GROUND)) == 0.0
+    assert felt_after(5.0, replace(heard(0.0, landed=Landed.GROUND), grounded=0.6)) == 0.0
+    assert felt_after(5.0, replace(heard(-0.5, landed=Landed.GROUND), grounded=0.2)) == np.inf
     for height, said in (
         (3.1, heard(0.0)), (0.5, heard(-0.4)), (0.5, heard(np.nan)), (0.5, heard(0.0, FlightMode.HOLD)),
     ):  # fmt: skip
@@ -221,3 +226,87 @@ def test_no_motor_is_stopped_where_the_autopilot_does_it_or_somebody_else_flies(
     r.run(20.0)
     assert r.state is S.HANDED_OVER
     assert not orders_to_stop(r, t)
+
+
+# -- reports of the ground
+
+
+def report_ground(r: PilotRig, messages: float = np.inf) -> None:
+    """Let the next `messages` of EXTENDED_SYS_STATE report the ground, wherever the vehicle is."""
+    made, false = r.sim.reports.makers["EXTENDED_SYS_STATE"], [messages]
+
+    def report(now: Any) -> Any:
+        false[0] -= 1
+        return made(now) if false[0] < 0 else mavlink.MAVLink_extended_sys_state_message(0, 1)
+
+    r.sim.reports.makers["EXTENDED_SYS_STATE"] = report
+
+
+def in_state(dialect: str, state: FlightState) -> PilotRig:
+    """Return a rig a second after the begin of a landing, of its abort, or of a return."""
+    r = flying(dialect)
+    assert r.fly(S.APPROACH if state is S.RETURN else S.COMMIT)
+    if state is S.ABORT:
+        r.frame_id = 1
+    elif state is S.RETURN:
+        r.sim.vehicle.body.battery = 0.05
+    assert r.fly(state, 20.0)
+    r.run(1.0)
+    return r
+
+
+@BOTH
+def test_no_climb_is_ordered_after_the_touchdown(dialect: str) -> None:
+    """A real PX4 stood with its motors on, 3.4 m up by the estimate: the landing was aborted, and a climb ordered."""
+    r = flying(dialect)
+    r.sim.logic.disarms = False
+    assert r.fly(S.COMMIT)
+    assert r.run(60.0, lambda: r.sim.vehicle.body.stands)
+    t = r.t
+    r.run(1.0)
+    go_astray(r, MotionState.GOOD, 0, (0.0, 0.0, 3.4))
+    r.run(0.5)
+    r.pictures = r.judges = False
+    assert r.run(30.0, lambda: r.state is S.LANDED)
+    assert S.ABORT not in [x.after for x in r.pilot.diary.transitions]
+    assert not r.targets_since(t + 0.5)
+
+
+@pytest.mark.parametrize(("dialect", "state"), in_turn(3, [[S.ABORT], [S.COMMIT], [S.RETURN]]))
+def test_a_lasting_report_of_the_ground_ends_every_climb(dialect: str, state: FlightState) -> None:
+    """The vehicle goes down where it is; set-points end when it is disarmed on the ground."""
+    r = in_state(dialect, state)
+    report_ground(r)
+    r.run(2.0)
+    t = r.t
+    assert r.run(90.0, lambda: not r.sim.logic.armed)
+    assert r.sim.vehicle.body.stands
+    assert not r.targets_since(t)
+    assert r.doing is Doing.LAND or dialect == "px4"
+    off = r.t
+    assert r.fly(S.LANDED, 5.0)
+    r.run(5.0)
+    assert not r.moving_since(off + 1.5)
+
+
+@pytest.mark.parametrize(("dialect", "state"), in_turn(3, [[S.ABORT], [S.COMMIT], [S.RETURN]]))
+def test_a_single_false_report_of_the_ground_changes_nothing(dialect: str, state: FlightState) -> None:
+    flown = []
+    for messages in (0, 1):
+        r = in_state(dialect, state)
+        report_ground(r, messages)
+        r.run(5.0)
+        flown.append((r.state, r.doing, *np.round(r.truth(), 6)))
+    assert flown[0] == flown[1]
+
+
+def test_set_points_end_when_the_vehicle_is_disarmed_on_the_ground() -> None:
+    """Whoever arms it again must not see it fly to an old set-point."""
+    r = flying("px4")
+    assert r.fly(S.COMMIT)
+    r.ticks = False
+    r.sim.logic.armed, r.sim.vehicle.body.position[2] = False, 0.0
+    r.run(3.0)
+    t = r.t
+    r.run(3.0)
+    assert not r.moving_since(t)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import threading
-from contextlib import nullcontext
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,18 +12,18 @@ import pytest
 from length import BOTH, EITHER, first, in_turn
 from made_up_ground import Ground, clearer_from_below
 from pilot_rig import PLACE, PilotRig, flying, raised
-from some_run import site, some_run
+from session_rig import session_of
+from some_run import site
 
-from alight.checks.result import bad
 from alight.cli import call
 from alight.cli.flown import facts
 from alight.flight.autopilot.firmware import ArduPilotFirmware
-from alight.flight.session.flight import TAKEN, UNCONFIRMED, FlightRequest, FlightSession, FlightStatus
-from alight.flight.session.pilot import PilotView, SessionLog
+from alight.flight.session.flight import TAKEN, UNCONFIRMED
+from alight.flight.session.pilot import PilotView
+from alight.flight.session.request import FlightStatus
 from alight.geometry import Pose
 from alight.records import FlightMode, Motion, MotionState
 from alight.records.executive import FlightEvent, FlightState, Order
-from alight.settings import Settings
 from alight_sim.autopilot.dialects import Doing
 from alight_sim.point_mass import PointMass, Wanted
 
@@ -47,39 +45,6 @@ def speed_of(r: PilotRig) -> float:
 
 def modes_asked(r: PilotRig, since: float) -> int:
     return sum(t > since and m.get_type() == "COMMAND_LONG" and m.command == SET_MODE for t, m in r.wire)
-
-
-class Clock:
-    """Replacement of the module `time`: a sleep lets the rig step on."""
-
-    def __init__(self, r: PilotRig) -> None:
-        self._r = r
-
-    def monotonic(self) -> float:
-        return self._r.t
-
-    def monotonic_ns(self) -> int:
-        return self._r.now_ns
-
-    def sleep(self, seconds: float) -> None:
-        for _ in range(max(1, round(seconds / self._r.dt))):
-            self._r.step()
-
-
-def session_of(
-    r: PilotRig, monkeypatch: pytest.MonkeyPatch, lines: list[str], on_status: Any = None, take_off: float | None = None
-) -> FlightSession:
-    """Return the session of `alight fly` around the rig's vehicle, in the rig's time, without lanes and files."""
-    r.ticks = False
-    monkeypatch.setattr("alight.flight.session.flight.time", Clock(r))
-    feed: Any = SimpleNamespace(lock=nullcontext(), autopilot=r.ours, flush=lambda: None)
-    live = SimpleNamespace(wait_until_ready=lambda: None, warnings=[], health=None)
-    run: Any = SimpleNamespace(live=live, finish=some_run)
-    plan = FlightRequest("udp:x", "camera:0", Path("out"), Settings(), take_off=take_off)
-    found = FlightSession(plan, feed, r.pilot, run, iter(()), SessionLog(lines.append), on_status)
-    monkeypatch.setattr(found, "check_all", lambda motion: [])
-    monkeypatch.setattr(found, "check_motion", lambda: bad("motion", "none is known yet", "wait"))
-    return found
 
 
 # -- unplanned ends
@@ -164,7 +129,9 @@ def test_the_wait_for_the_motion_ends_when_a_pilot_takes_over(monkeypatch: pytes
 
     session = session_of(r, monkeypatch, [], on_status, take_off=12.0)
     begun = r.t
-    assert session.fly(threading.Event()).why == TAKEN
+    outcome = session.fly(threading.Event())
+    assert outcome.why == TAKEN
+    assert [c.name for c in outcome.checks] == ["link", "motion", "throttle"]
     assert "take-off" in phases
     assert r.t - begun < 45.0
     t = r.t

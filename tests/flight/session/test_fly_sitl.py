@@ -41,6 +41,8 @@ def test_a_real_ardupilot_flies_a_landing(sitl: str) -> None:
 
     def climbed() -> bool:
         climb.tick(time.monotonic_ns())
+        for notice in ours.notices():
+            climb.on_notice(notice)
         return climb.done
 
     assert drive(link, ours, 120, climbed), climb.failed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
@@ -9,8 +10,12 @@ from alight.flight.autopilot.clock import VehicleClock
 from alight.flight.autopilot.dialect import mavlink
 from alight.flight.autopilot.firmware import FIRMWARES, HOVERS
 from alight.flight.autopilot.framing import Framing, ReceivedMessage
+from alight.flight.autopilot.interference import Allowance, Interference
 from alight.flight.autopilot.remote_vehicle import RemoteVehicle
+from alight.flight.autopilot.signing import SigningKey
 from alight.records import ImuSample, NavSample, Notice, NoticeKind, Telemetry
+
+_NOTICES = 20.0  # a second and kind; a text more often is read by nobody
 
 
 class TelemetryReader(Protocol):
@@ -34,12 +39,14 @@ class Autopilot:
     Pass the bytes of a link to `receive`, and call `tick` at 10 Hz or more. Send the datagrams of `pending`, and read
     `notices`, `samples` and `telemetry`. All times are of one monotonic clock of ours, in nanoseconds.
 
-    The vehicle is the first autopilot that sends a heartbeat. Messages of other senders are ignored.
+    The vehicle is the first autopilot that sends a heartbeat. Messages of other senders are ignored. Without a key,
+    whoever uses the vehicle's identity is taken for it, but is noticed.
 
     Args:
         rates: Hz of further streams, or non-default rates of default streams, by message; 0: not requested.
         events: maker of GPS/INS rows and IMU samples from the telemetry; None: no samples are made.
         component: our component number on the link.
+        key: signs what is sent; messages without its signature are dropped. None: nothing is signed.
     """
 
     def __init__(
@@ -47,13 +54,16 @@ class Autopilot:
         rates: Mapping[str, float] | None = None,
         events: TelemetryReader | None = None,
         component: int = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER,
+        key: SigningKey | None = None,
     ) -> None:
-        self._framing = Framing(1, component)
+        self._framing = Framing(1, component, key)
         self._component, self._events, self._rates = component, events, dict(rates or {})
         self._out: list[bytes] = []
         self._notices: list[Notice] = []
         self._samples: list[NavSample | ImuSample] = []
+        self._allowances = defaultdict[NoticeKind, Allowance](lambda: Allowance(_NOTICES))
         self._refused: set[int] = set()
+        self._interference = Interference((0, 0))
         self._heartbeat_ns: int | None = None
         self._now_ns = 0
         self.vehicle: RemoteVehicle | None = None  # receiver of the orders; None: no heartbeat yet
@@ -67,6 +77,11 @@ class Autopilot:
     def messages(self) -> int:
         """Number of messages received since the link was opened, from any sender."""
         return self._framing.messages
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """Number of messages dropped since the link was opened, by reason: forged, replayed, or too many."""
+        return self._framing.dropped
 
     def pending(self) -> list[bytes]:
         """Return the datagrams to send; each datagram is returned only once."""
@@ -94,6 +109,8 @@ class Autopilot:
             self._heartbeat_ns = self._now_ns
             kind, invalid = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
             self._send(mavlink.MAVLink_heartbeat_message(kind, invalid, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
+        for line in self._interference.reports(self.dropped, self._now_ns):
+            self._note(NoticeKind.INTERFERENCE, line, ok=False)
         if self.vehicle is not None:
             self.vehicle.tick(self._now_ns)
 
@@ -121,6 +138,10 @@ class Autopilot:
             vehicle, events = self.vehicle, self._events
             if vehicle is None or received.system != vehicle.system:
                 continue
+            if received.clash:
+                self._interference.on_clash(self._now_ns)
+            if received.name == "HEARTBEAT" and not self._interference.is_of_vehicle(received.message):
+                continue
             if vehicle.on_message(received, self._now_ns) and events is not None:
                 if vehicle.starts > events.starts:
                     events.restart(vehicle.starts)
@@ -139,6 +160,7 @@ class Autopilot:
                 self._note(NoticeKind.FOUND, text, ok=False)
             return None
         self._framing.set_sender(system, self._component)
+        self._interference = Interference((m.autopilot, m.type))
         self._note(NoticeKind.FOUND, f"{firmware.name}, system {system}")
         return RemoteVehicle(heartbeat, firmware(), (system, self._component), self._rates, self._send, self._note)
 
@@ -146,4 +168,5 @@ class Autopilot:
         self._out.append(self._framing.encode(outgoing))
 
     def _note(self, kind: NoticeKind, text: str, ok: bool = True, **more: Any) -> None:
-        self._notices.append(Notice(self._now_ns, kind, text, ok, **more))
+        if self._allowances[kind].admits(self._now_ns):
+            self._notices.append(Notice(self._now_ns, kind, text, ok, **more))

@@ -105,11 +105,15 @@ class ControlWatch:
     def sticks(self, positions: tuple[int, ...]) -> str:
         """Return which stick a pilot has moved since we took control, in words, or an empty string.
 
+        The throttle may move during a take-off: ArduPilot arms with it down, and a later takeover needs its middle.
+
         `positions`: positions of the four sticks, microseconds, as in RC_CHANNELS.
         """
         if not self.in_control:
             return ""
         if self._neutral is None:
             self._neutral = positions
+        elif self._newest is FlightMode.TAKE_OFF:
+            self._neutral = (*self._neutral[:2], positions[2], self._neutral[3])
         moved = [abs(a - b) for a, b in zip(positions, self._neutral, strict=True)]
         return f"stick {moved.index(max(moved)) + 1} moved" if max(moved) > _MOVED else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -40,8 +41,10 @@ class Firmware(ABC):
     rates: Mapping[str, float]  # Hz of the messages to request
     repeats_setpoints: bool  # whether a set-point must be sent repeatedly
     takes_speeds: bool  # whether speeds are commands; else the distance to a set-point sets the speed
+    takes_targets: bool  # whether LAND comes down on the reported target, else straight down
     natural: Mapping[tuple[FlightMode, FlightMode], bool] = MappingProxyType({})  # changes of mode that it makes by
     # itself at the end of a task; True: on the ground only, as in the air they are a takeover
+    fence_parameters: tuple[str, ...] = ()  # parameters that decide how its fence is meant
     high_site: float  # metres above home from which its LAND descends fast
     modes: Mapping[str, FlightMode]  # by the autopilot's names; other names are OTHER
     parameters: Mapping[FlightMode, tuple[float, ...]]  # of MAV_CMD_DO_SET_MODE, after the base mode
@@ -58,11 +61,32 @@ class Firmware(ABC):
         """
 
     @abstractmethod
+    def unites_inclusions(self, parameters: Mapping[str, float]) -> bool:
+        """Whether the vehicle must stay in any zone of the fence that keeps it in, instead of in each.
+
+        `parameters`: values of `fence_parameters` that were read.
+        """
+
+    def parameter_value(self, value: float, kind: int) -> float:
+        """Return the value of a PARAM_VALUE; `kind` is its MAV_PARAM_TYPE."""
+        return value
+
+    @abstractmethod
     def reach(self, speed: float, upright: bool) -> float:
         """Return the distance, m, to a set-point at which the vehicle still flies at `speed`, m/s.
 
         A nearer set-point slows the vehicle down. `upright`: whether the distance is vertical, else level.
         """
+
+    def ahead(self, way: F64, speed: float, velocity: F64) -> F64:
+        """Return the vector, (2,) metres east and north, from the vehicle to the set-point to send now.
+
+        Args:
+            way: (2,) metres east and north, from the vehicle to its target.
+            speed: ordered, m/s.
+            velocity: (2,) m/s, of the vehicle; NaN: unknown.
+        """
+        return way * min(1.0, self.reach(speed, False) / max(math.hypot(*way), 1e-6))
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
         """Return the LANDING_TARGET message of a target; None: this firmware uses no targets.
@@ -91,7 +115,8 @@ class ArduPilotFirmware(Firmware):
     name = "ArduPilot"
     rates: Mapping[str, float] = {**_RATES, "EKF_STATUS_REPORT": 2.0, "WIND": 1.0}
     repeats_setpoints = False
-    takes_speeds = True
+    takes_speeds = takes_targets = True
+    fence_parameters = ("FENCE_OPTIONS",)
     high_site = 8.0  # LAND_ALT_LOW is 10 m, and home may lie lower than its estimate
     modes: Mapping[str, FlightMode] = {
         "AUTO": FlightMode.MISSION,
@@ -120,6 +145,10 @@ class ArduPilotFirmware(Firmware):
         """Return parameters 4 to 7 of MAV_CMD_NAV_TAKEOFF: zeros, and the height above home."""
         return (0.0, 0.0, 0.0, height)
 
+    def unites_inclusions(self, parameters: Mapping[str, float]) -> bool:
+        """Return bit 1 of FENCE_OPTIONS; see `Firmware.unites_inclusions`."""
+        return bool(int(parameters.get("FENCE_OPTIONS", 0.0)) & 2)
+
     def reach(self, speed: float, upright: bool) -> float:
         """Return the distance, m, that a set-point needs for flight at `speed`, m/s; see `Firmware.reach`.
 
@@ -146,7 +175,7 @@ class Px4Firmware(Firmware):
     name = "PX4"
     rates: Mapping[str, float] = {**_RATES, "ESTIMATOR_STATUS": 2.0, "WIND_COV": 1.0}
     repeats_setpoints = True
-    takes_speeds = False
+    takes_speeds = takes_targets = False
     natural: Mapping[tuple[FlightMode, FlightMode], bool] = {
         (FlightMode.TAKE_OFF, FlightMode.HOLD): False,
         (FlightMode.LAND, FlightMode.HOLD): True,
@@ -169,6 +198,7 @@ class Px4Firmware(Firmware):
         FlightMode.RETURN: (4.0, 5.0),
         FlightMode.LAND: (4.0, 6.0),
     }
+    _gain = 0.95  # 1/s: MPC_XY_P; the vertical gain, MPC_Z_P, is 1.0
     _main = ("0", "MANUAL", "ALTCTL", "POSCTL", "AUTO", "ACRO", "OFFBOARD", "STABILIZED", "RATTITUDE")
     _auto = ("0", "READY", "TAKEOFF", "LOITER", "MISSION", "RTL", "LAND", "7", "FOLLOW", "PRECLAND")
 
@@ -183,9 +213,34 @@ class Px4Firmware(Firmware):
         home = telemetry.home or telemetry.place
         return (math.nan, math.nan, math.nan, math.nan if home is None else home.altitude_msl + height)
 
+    def unites_inclusions(self, parameters: Mapping[str, float]) -> bool:
+        """Return True: PX4 has no other way; see `Firmware.unites_inclusions`."""
+        return True
+
+    def parameter_value(self, value: float, kind: int) -> float:
+        """Return the value; the bytes of an integer come in the place of those of the float."""
+        is_integer = kind <= mavlink.MAV_PARAM_TYPE_INT32
+        return float(struct.unpack("<i", struct.pack("<f", value))[0]) if is_integer else value
+
     def reach(self, speed: float, upright: bool) -> float:
         """Return the distance, m, to a set-point for flight at `speed`, by the position gain; see `Firmware.reach`."""
-        return speed / 0.95  # 1/s: MPC_XY_P; the vertical gain, MPC_Z_P, is 1.0
+        return speed / self._gain
+
+    def ahead(self, way: F64, speed: float, velocity: F64) -> F64:
+        """Return the vector to the set-point that changes the velocity by at most 1 m/s; see `Firmware.ahead`.
+
+        PX4 flies at the velocity v = gain * distance, and accelerates by 1.8 / s (MPC_XY_VEL_P_ACC) times the change of
+        v without any other limit than MPC_TILTMAX_AIR. So 1 m/s is a tilt of 10 degrees. The vehicle brakes at 1.2
+        m/s^2, by the law of ArduPilot's controller.
+        """
+        away, braking = math.hypot(*way), 1.2
+        near = braking / self._gain**2
+        law = self._gain * away if away < near else math.sqrt(2 * braking * (away - near / 2))
+        wanted = way * (min(speed, law) / max(away, 1e-6))
+        change = wanted - velocity
+        if not np.isfinite(change).all():
+            return wanted / self._gain
+        return (velocity + change * min(1.0, 1.0 / max(math.hypot(*change), 1e-6))) / self._gain
 
 
 FIRMWARES: Mapping[int, type[Firmware]] = {

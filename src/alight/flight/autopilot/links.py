@@ -7,6 +7,7 @@ import logging
 import os
 import select
 import socket
+import struct
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -95,6 +96,14 @@ class Link:
                 return False
         return True
 
+    def reopen(self) -> None:
+        """Close the port, with all that waits in it to be sent, and open it again later; called by the reading thread.
+
+        A connection that stalls would deliver old orders when it goes on.
+        """
+        self._break(ConnectionResetError("the vehicle is silent"))
+        self._let_go()
+
     def close(self) -> None:
         """Close the link for good."""
         self._closed = True
@@ -132,7 +141,7 @@ class Link:
 
 
 class _UdpPort:
-    """A UDP socket. If it listens, it answers all senders of the last ten seconds; else it writes to one address."""
+    """A UDP socket. A listening one answers at most eight senders of the last ten seconds, another has one address."""
 
     def __init__(self, host: str, port: int, listen: bool) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -150,12 +159,20 @@ class _UdpPort:
     def receive(self) -> list[bytes]:
         out = []
         with suppress(BlockingIOError, ConnectionRefusedError):  # refused: nobody listens there yet
-            while True:
+            for _ in range(1000):  # a flood must not keep the reader here
                 data, sender = self._socket.recvfrom(_CHUNK)
                 if self._listen or sender == self._address:
-                    self._peers = {**self._peers, sender: time.monotonic()}
+                    self._note_peer(sender)
                     out.append(data)
         return out
+
+    def _note_peer(self, sender: Any) -> None:
+        """Note a datagram's sender; of forged ones without number only the first eight are answered."""
+        now = time.monotonic()
+        if sender not in self._peers:
+            self._peers = {peer: t for peer, t in self._peers.items() if t > now - 10.0}
+        if sender in self._peers or len(self._peers) < 8:
+            self._peers = {**self._peers, sender: now}
 
     def send(self, data: bytes) -> None:
         since = time.monotonic() - 10.0
@@ -207,6 +224,8 @@ class _TcpServer:
             self._resolved = list(dict.fromkeys((str(a[4][0]), int(a[4][1])) for a in found))
         opened = self._connected(2.0 if first else 0.5)  # s; nobody reads the link meanwhile
         opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        at_once = struct.pack("ii", 1, 0)  # closing drops what waits to be sent, as in `_StreamPort.close`
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, at_once)
         opened.setblocking(False)
         return _StreamPort(opened, opened.recv, opened.send, "the other side has closed the connection")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
@@ -14,22 +15,26 @@ from alight.flight.autopilot.clock import LinkWatch, TimeoutClock, VehicleClock
 from alight.flight.autopilot.commands import CommandAnswer, CommandQueue
 from alight.flight.autopilot.control import ControlWatch
 from alight.flight.autopilot.dialect import mavlink
+from alight.flight.autopilot.fence import fence_region
 from alight.flight.autopilot.firmware import Firmware
 from alight.flight.autopilot.framing import ReceivedMessage
+from alight.flight.autopilot.onboard import OnboardData
 from alight.flight.autopilot.setpoints import Guidance, Setpoint, Target
 from alight.flight.autopilot.streams import StreamKeeper, StreamRate
 from alight.flight.autopilot.vehicle_state import VehicleState, boot_time_ns
 from alight.geometry import LocalFrame
+from alight.geometry.zones import Region
 from alight.records import FlightMode, NoticeKind, Place, Telemetry
 
 _FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer is no evidence of a reboot
 
 
 class StatusText(NamedTuple):
-    """A text of the autopilot; `ok` is False for errors."""
+    """A text of the autopilot; `ok` is False for errors, `warns` is True for warnings and errors."""
 
     text: str
     ok: bool
+    warns: bool
 
 
 class TextJoiner:
@@ -48,7 +53,8 @@ class TextJoiner:
         if self._pieces and message.chunk_seq < self._next:
             return over  # it came twice
         self._number, self._next, self._since_ns = message.id, message.chunk_seq + 1, now_ns
-        self._pieces.append(StatusText(str(message.text), message.severity > mavlink.MAV_SEVERITY_ERROR))
+        ok, warns = message.severity > mavlink.MAV_SEVERITY_ERROR, message.severity <= mavlink.MAV_SEVERITY_WARNING
+        self._pieces.append(StatusText(str(message.text), ok, warns))
         return over + (self._joined() if not message.id or len(message.text) < 50 else [])
 
     def overdue(self, now_ns: int) -> list[StatusText]:
@@ -57,7 +63,9 @@ class TextJoiner:
 
     def _joined(self) -> list[StatusText]:
         pieces, self._pieces = self._pieces, []
-        return [StatusText("".join(p.text for p in pieces), all(p.ok for p in pieces))] if pieces else []
+        if not pieces:
+            return []
+        return [StatusText("".join(p.text for p in pieces), all(p.ok for p in pieces), pieces[0].warns)]
 
 
 class Displacement(NamedTuple):
@@ -90,7 +98,10 @@ class RemoteVehicle:
         wanted = {name: rate for name, rate in {**firmware.rates, **rates}.items() if rate > 0}
         self._streams = StreamKeeper(wanted, self._commands)
         self._guidance = Guidance(firmware, address, send, self._commands)
+        self.onboard = OnboardData(firmware, address, us, send)
         self._now_ns = 0
+        self._warnings = deque[tuple[int, str]](maxlen=5)  # our clock, and the text
+        self._taken_by_failsafe = False
         self.starts = 1  # number of the autopilot's boots so far
 
     # reports
@@ -109,6 +120,17 @@ class RemoteVehicle:
     def in_control(self) -> bool:
         """Whether we are in control: from our first order to a takeover."""
         return self._control.in_control
+
+    @property
+    def failsafe(self) -> str:
+        """Failsafe of the autopilot that ended our control, by its warnings of the last 2 s; empty: none did."""
+        recent = [text for t_ns, text in self._warnings if self._now_ns - t_ns < 2_000_000_000]
+        return ("; ".join(recent) or "its state is critical") if self._taken_by_failsafe else ""
+
+    @property
+    def throttle_low(self) -> bool:
+        """Whether the pilot's throttle stick is below its middle, so that the vehicle would sink after a takeover."""
+        return self._state.sticks is not None and self._state.sticks[2] < 1300  # microseconds, the middle is 1500
 
     def place_at(self, t_ns: int) -> Place | None:
         """Return the autopilot's estimate of its position at an instant of our clock, extrapolated by its velocity.
@@ -131,6 +153,15 @@ class RemoteVehicle:
     def oldest_place(self) -> float:
         """Greatest age, s, of the newest position at any time in the last five seconds; inf: no position."""
         return self._state.positions.oldest(self._now_ns, self.clock) if self.clock.known else math.inf
+
+    def fence_of(self, local: LocalFrame) -> Region:
+        """Return the region that its fence allows, in the plane of `local` (`on_plane`); without a fence, everything.
+
+        Raises:
+            InputError: the fence cannot be understood; the message names the item.
+        """
+        united = self.firmware.unites_inclusions(self.onboard.parameters)
+        return fence_region(self.onboard.fence.items or (), local, united)
 
     def tie(self, local: LocalFrame, position_world: F64, t_ns: int) -> EstimateTie | None:
         """Tie our position, `position_world` at `t_ns` of our clock, to the autopilot's position at the same instant.
@@ -213,15 +244,16 @@ class RemoteVehicle:
             tie: converts the position of the set-point; None: the set-point has no position.
 
         Returns:
-            False if it is not sent, as we are not in control.
+            False if it is not sent: we are not in control, or the vehicle is disarmed on the ground.
 
         Raises:
             ValueError: the set-point is empty, not finite, without speed, or has a position and no tie.
         """
         target = Target.of(setpoint, tie)
-        if self._control.in_control:
+        sends = self._control.in_control and not self._state.newest.is_down
+        if sends:
             self._aim(target)
-        return self._control.in_control
+        return sends
 
     def land_on(self, t_ns: int, target_world: F64, world_from_body: F64) -> bool:
         """Report the target of a precision landing; call it twenty times per second during the landing.
@@ -240,8 +272,9 @@ class RemoteVehicle:
         return sent is not None
 
     def _aim(self, target: Target) -> None:
-        self._guidance.aim(target, self.place_at(self._now_ns) or self._state.newest.place, self._now_ns)
-        if self._state.newest.mode is FlightMode.GUIDED:
+        now = self._state.newest
+        self._guidance.aim(target, self.place_at(self._now_ns) or now.place, now.velocity_world, self._now_ns)
+        if now.mode is FlightMode.GUIDED:
             self._guidance.keep_speeds(self._timeouts.t_ns)
 
     # time
@@ -257,6 +290,7 @@ class RemoteVehicle:
         if self.clock.is_request_due(now_ns):
             self._send(mavlink.MAVLink_timesync_message(0, self.clock.request(now_ns)))
         self._streams.tick(self._timeouts.t_ns)
+        self.onboard.tick(self._timeouts.t_ns)
         self._on_answers(self._commands.tick(self._timeouts.t_ns))
         if self._guidance.target is not None and self._guidance.is_due(now_ns):
             self._aim(self._guidance.target)
@@ -269,6 +303,8 @@ class RemoteVehicle:
 
     def _note_lost(self, why: str) -> None:
         if why:
+            self.release()
+            self._commands.drop(everything=True)  # nothing old must be sent when it is back
             self._note(NoticeKind.LINK_LOST, why, ok=False)
 
     # messages
@@ -280,17 +316,20 @@ class RemoteVehicle:
         if name in ("COMMAND_ACK", "TIMESYNC", "STATUSTEXT"):
             self._on_handshake(name, m)
             return False
-        if received.late:
+        if self.onboard.on_message(m, self._timeouts.t_ns) or received.late:
             return False
         boot_ns = boot_time_ns(m)
         if boot_ns is not None and not received.overtaken:
             self._on_stamp(boot_ns)
         self._streams.on_message(name, self._timeouts.t_ns)
+        was_armed = self._state.newest.armed
         accepted = self._state.on_message(name, m, self._now_ns)
+        if was_armed and not self._state.newest.armed:
+            self._guidance.target = None  # when it is armed again, it must not fly to an old set-point
         if name == "HEARTBEAT":
             self._on_heartbeat()
         elif name == "RC_CHANNELS" and self._state.sticks is not None:
-            self._on_takeover(self._control.sticks(self._state.sticks))
+            self._on_takeover(self._control.sticks(self._state.sticks), failsafe=False)
         return accepted
 
     def _on_handshake(self, name: str, m: Any) -> None:
@@ -315,6 +354,7 @@ class RemoteVehicle:
         self.clock.restart()
         self._commands.drop(everything=True)
         self._streams.rebooted()
+        self.onboard.rebooted()
         self._note(NoticeKind.REBOOT, "the autopilot has started again", ok=False)
 
     def _on_heartbeat(self) -> None:
@@ -323,16 +363,18 @@ class RemoteVehicle:
         now, before = self._state.newest, self._control.mode_name
         unanswered, on_ground = self._commands.waiting_modes(), self._state.is_on_ground(self._now_ns)
         why = self._control.mode(now.mode, now.mode_name, self._timeouts.t_ns, unanswered, on_ground, now.armed)
-        self._on_takeover(why)
+        self._on_takeover(why, now.failsafe)
         if before != now.mode_name:
             self._guidance.forget_speeds()
             if not why:
                 self._note(NoticeKind.MODE, now.mode_name, mode=now.mode)
 
-    def _on_takeover(self, why: str) -> None:
+    def _on_takeover(self, why: str, failsafe: bool) -> None:
         if why:
             self.release()
-            self._note(NoticeKind.TAKEOVER, why, ok=False, mode=self._state.newest.mode)
+            self._taken_by_failsafe = failsafe
+            text = f"a failsafe of the autopilot: {why}" if failsafe else why
+            self._note(NoticeKind.TAKEOVER, text, ok=False, mode=self._state.newest.mode)
 
     def _on_answers(self, answers: Iterable[CommandAnswer]) -> None:
         for answer in answers:
@@ -343,5 +385,6 @@ class RemoteVehicle:
                 self._note(NoticeKind.COMMAND, answer.text, answer.ok, ticket=answer.ticket)
 
     def _note_texts(self, texts: list[StatusText]) -> None:
+        self._warnings += [(self._now_ns, t.text) for t in texts if t.warns]
         for text in texts:
             self._note(NoticeKind.TEXT, text.text, ok=text.ok)

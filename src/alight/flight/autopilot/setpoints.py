@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from alight.arrays import F64
-from alight.flight.autopilot.border import EstimateTie, metres_between, ned
+from alight.flight.autopilot.border import METRES_PER_DEGREE, EstimateTie, metres_per_degree_east, ned
 from alight.flight.autopilot.commands import CommandQueue
 from alight.flight.autopilot.dialect import mavlink
 from alight.flight.autopilot.firmware import Firmware
@@ -18,7 +18,6 @@ from alight.records import Place
 
 CLIMB = 3.0  # m/s upwards: set-points have no climb speed
 _SPEED_AGAIN_NS = 2_000_000_000  # until the speeds are sent again
-Reach = Callable[[float, bool], float]  # distance, m, by speed, m/s, and whether it is vertical
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +62,7 @@ class Target:
             raise ValueError("a position needs our position and the autopilot's of one instant")
         return cls(tie.place_of(position), velocity_ned, setpoint.heading, setpoint.speed, setpoint.sink)
 
-    def near(self, here: Place, reach: Reach) -> Target:
+    def near(self, here: Place, velocity: F64, firmware: Firmware) -> Target:
         """Return the set-point to send now: near the vehicle, but so far ahead that the vehicle does not slow down.
 
         An autopilot flies on to its last set-point after a takeover by the sticks, a lost link, or the end of this
@@ -71,17 +70,20 @@ class Target:
 
         Args:
             here: position of the vehicle.
-            reach: see `Firmware.reach`.
+            velocity: (3,) m/s, of the vehicle; NaN: unknown.
+            firmware: decides how far ahead the set-point is.
         """
         if self.place is None:
             return self
-        away = metres_between(here, replace(self.place, altitude_msl=here.altitude_msl))
-        share = min(1.0, reach(self.speed, False) / max(away, 1e-6))
-        way = self.place.altitude_msl - here.altitude_msl
-        higher = min(max(way, -reach(self.sink, True)), reach(CLIMB, True)) - way  # than the target, for now
+        degree = np.array([metres_per_degree_east(here), METRES_PER_DEGREE])
+        east = math.remainder(self.place.longitude - here.longitude, 360.0)
+        way = np.array([east, self.place.latitude - here.latitude]) * degree
+        east, north = firmware.ahead(way, self.speed, velocity[:2]) / degree
+        up = self.place.altitude_msl - here.altitude_msl
+        higher = min(max(up, -firmware.reach(self.sink, True)), firmware.reach(CLIMB, True)) - up  # than the target
         return replace(self, place=Place(
-            here.latitude + share * (self.place.latitude - here.latitude),
-            here.longitude + share * (self.place.longitude - here.longitude),
+            here.latitude + north,
+            here.longitude + east,
             self.place.altitude_msl + higher,
             self.place.above_home + higher,
         ))  # fmt: skip
@@ -127,12 +129,13 @@ class Guidance:
         self._tickets: set[int] = set()  # tickets of the commands of speeds
         self._refused = False
 
-    def aim(self, target: Target, here: Place | None, now_ns: int) -> None:
+    def aim(self, target: Target, here: Place | None, velocity: F64, now_ns: int) -> None:
         """Send a set-point towards a target, near the vehicle.
 
         Args:
             target: position or velocity to reach in the end.
             here: position of the vehicle; None: unknown; then the last set-point or, without one, the target is sent.
+            velocity: (3,) m/s, of the vehicle; NaN: unknown.
         """
         if self.target is None:
             self.since_ns, self._ahead = now_ns, None
@@ -140,7 +143,7 @@ class Guidance:
             self.forget_speeds()  # ArduPilot changes its controller
         self.target, self._sent_ns = target, now_ns
         if here is not None:
-            self._ahead = target.near(here, self._firmware.reach)
+            self._ahead = target.near(here, velocity, self._firmware)
         elif target.place is None or self._ahead is None or self._ahead.place is None:
             self._ahead = target  # else the last one again while the position is unknown: the target is too far
         self._send(self._ahead.message(now_ns, *self._address))

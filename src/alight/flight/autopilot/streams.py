@@ -86,12 +86,15 @@ class StreamKeeper:
     def on_answer(self, ticket: int, refused: bool) -> bool:
         """Process the answer to the command `ticket`; return whether the command requested a stream.
 
-        A message that the autopilot refuses is replaced by a message with the same content, if there is one.
+        A message that the autopilot refuses is replaced by a message with the same content, if there is one; else it is
+        seldom requested again.
         """
         name = self._tickets.pop(ticket, None)
         other = _SUBSTITUTES.get(name or "")
         if refused and name in self._streams and other is not None:
             self._streams.setdefault(other, _Stream(self._streams.pop(name).rate))
+        elif refused and name in self._streams:
+            self._streams[name].wait_ns = _LONGEST_NS
         return name is not None
 
     def tick(self, t_ns: int) -> None:

@@ -62,13 +62,13 @@ def _home(m: Any) -> dict[str, Any]:
     return {} if home is None else {"home": home}
 
 
-def _landed(m: Any) -> dict[str, Any]:
-    known = m.landed_state in {state.value for state in Landed}
-    return {"landed": Landed(m.landed_state) if known else Landed.UNKNOWN}
-
-
 def _wind(m: Any) -> dict[str, Any]:
-    """Return the telemetry's `wind_world` from ArduPilot's WIND; its `direction`, degrees, is where wind comes from."""
+    """Return the telemetry's `wind_world` from ArduPilot's WIND; its `direction`, degrees, is where wind comes from.
+
+    A Copter without `EK3_DRAG_...` parameters reports a speed of exactly 0 in any wind: the wind is unknown then.
+    """
+    if m.speed == 0:
+        return _wind_ned(math.nan)
     towards = math.radians(m.direction) + math.pi if math.isfinite(m.direction) else math.nan
     return _wind_ned(m.speed * math.cos(towards), m.speed * math.sin(towards), m.speed_z)
 
@@ -83,7 +83,6 @@ _FIELDS: Mapping[str, Callable[[Any], dict[str, Any]]] = {  # fields of the tele
     "ATTITUDE_QUATERNION": _attitude,
     "EKF_STATUS_REPORT": lambda m: {"estimator_flags": int(m.flags)},
     "ESTIMATOR_STATUS": lambda m: {"estimator_flags": int(m.flags)},
-    "EXTENDED_SYS_STATE": _landed,
     "GPS_RAW_INT": lambda m: {"gps": gps_quality(m)},
     "HOME_POSITION": _home,
     "SYS_STATUS": _sys_status,
@@ -99,6 +98,7 @@ class VehicleState:
         self._firmware = firmware
         self.newest = Telemetry(firmware.name)  # without the ages of its messages
         self._received_ns: dict[str, int] = {}
+        self._ground_ns: int | None = None  # first of the last consecutive reports of the ground
         self.positions = PositionLog()
         self.sticks: tuple[int, ...] | None = None
 
@@ -115,7 +115,7 @@ class VehicleState:
     def rebooted(self) -> None:
         """Forget everything but the mode; the vehicle is treated as disarmed."""
         self.newest = replace(Telemetry(self._firmware.name), mode=self.newest.mode)
-        self.positions = PositionLog()
+        self.positions, self._ground_ns = PositionLog(), None
         self.sticks = None
 
     def on_message(self, name: str, m: Any, now_ns: int) -> bool:
@@ -129,13 +129,23 @@ class VehicleState:
         if name == "HEARTBEAT":
             mode, mode_name = self._firmware.mode(m.custom_mode)
             armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-            self.newest = replace(self.newest, armed=armed, mode=mode, mode_name=mode_name)
+            failsafe = m.system_status in (mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY)
+            self.newest = replace(self.newest, armed=armed, mode=mode, mode_name=mode_name, failsafe=failsafe)
+        elif name == "EXTENDED_SYS_STATE":
+            self._on_landed_state(m.landed_state, now_ns)
         elif name == "RC_CHANNELS":
             four = (m.chan1_raw, m.chan2_raw, m.chan3_raw, m.chan4_raw)
             self.sticks = None if any(s in (0, 0xFFFF) for s in four) else four
         elif name in _FIELDS:
             self.newest = replace(self.newest, **_FIELDS[name](m))
         return True
+
+    def _on_landed_state(self, state: int, now_ns: int) -> None:
+        landed = Landed(state) if state in {s.value for s in Landed} else Landed.UNKNOWN
+        first_ns = now_ns if self._ground_ns is None else self._ground_ns
+        self._ground_ns = first_ns if landed is Landed.GROUND else None
+        grounded = 0.0 if self._ground_ns is None else (now_ns - self._ground_ns) * 1e-9
+        self.newest = replace(self.newest, landed=landed, grounded=grounded)
 
     def _on_position(self, m: Any, now_ns: int) -> bool:
         """Process a position; return whether it is accepted. After a jump, no position is until the reports agree."""

@@ -69,17 +69,23 @@ class Descent:
         self._p.append(found.p_safe)
         return len(self._p) == self._p.maxlen and median(self._p) < self._keys.abort_median
 
-    def too_long(self, t: float, left: float) -> str:
+    def too_long(self, t: float, left: float, verdict_time: float) -> str:
         """Return the reason if the landing takes too long or the newest verdict is too old, else an empty string.
 
         Args:
             t: present time, s.
             left: height above the site, metres; if it is too low to abort, the age of the verdict has no effect.
+            verdict_time: see `AttemptLimits`.
         """
-        if t - self._begun > self._keys.hold + self._high / self._keys.landing_speed:
+        waits = verdict_time * self._high / self._keys.unchecked  # s, over the site, for verdicts that keep up
+        if t - self._begun > self._keys.hold + self._high / self._keys.landing_speed + waits:
             return f"it does not come down: {t - self._begun:.0f} s"
         silent = t - self._taken[-1]
-        late = silent > self._keys.unjudged and self._keys.look_again and not is_too_low_to_abort(left, self._keys)
+        late = (
+            silent > self._keys.unjudged + verdict_time
+            and self._keys.look_again
+            and not is_too_low_to_abort(left, self._keys)
+        )
         return f"no verdict for {silent:.1f} s" if late else ""
 
     def unfelt(self, t: float) -> str:
@@ -107,8 +113,8 @@ class Descent:
         """Return the order for the situation `now`, `left` metres above the site `place`.
 
         The vehicle waits over the site while verdicts do not keep up with the descent, and before the last metres until
-        there are enough verdicts for an abort. It sinks straight down if its position is unknown, or is not in the map
-        frame of the site (`same_frame`).
+        there are enough verdicts for an abort, but not if the autopilot cannot hold its position. It sinks straight
+        down if its position is unknown, or is not in the map frame of the site (`same_frame`).
         """
         low, sink = is_too_low_to_abort(left, self._keys), self._keys.landing_speed
         self._flown.append((now.t, left))
@@ -118,9 +124,11 @@ class Descent:
         if now.position is None or not same_frame:
             return Order("land", None, speed, sink, down=True)
         beside = math.hypot(place.east - now.position[0], place.north - now.position[1])
-        within = self._keys.off_way if self._over else self._keys.on_way
+        begin = self._keys.on_way if now.steers else self._keys.on_way / 2  # what is left then, straight down, stays
+        within = self._keys.off_way if self._over else begin
         enough = self._over or self._has_enough_verdicts(left)
-        self._over = low or (beside <= within and enough and self._is_checked(left))
+        waits = now.holds and not (enough and self._is_checked(left))
+        self._over = low or (beside <= within and not waits)
         at = np.array([place.east, place.north, place.up])
         if self._over:
             self._kept = None

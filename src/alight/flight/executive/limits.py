@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from alight.flight.executive.descent import is_near_ground
+from alight.flight.executive.table import Event
 from alight.records import MotionState
 from alight.records.executive import FlightEvent, FlightState, Situation
 from alight.settings import ExecutiveSettings
@@ -20,15 +22,33 @@ class AttemptLimits:
         self._begun: float | None = None  # s, start of the landing
         self._since: dict[FlightEvent, float] = {}  # s, since when each quantity exceeds its limit
         self._sound_at = -math.inf  # s, when the motion was last not degraded
-        self.missing_at = -math.inf  # s, when motion or pictures were last missing
+        self.missing_at = -math.inf  # s, when motion, pictures or the autopilot's position were last missing
+        self._judged = 0  # number of the newest verdict
+        self._ages = deque[float]([0.0], keys.last_verdicts)  # s, of the newest exposures of the last verdicts
 
     def observe(self, now: Situation) -> None:
-        """Note the start of the landing, and the last time at which the motion was not degraded."""
+        """Note the start of the landing, what was last missing or degraded, and the age of a verdict."""
         self._begun = now.t if self._begun is None else self._begun
+        self.missing_at = self.missing_at if now.holds else now.t
         if now.state is not MotionState.DEGRADED:
             self._sound_at = now.t
+        if now.seen is not None and now.seen.number > self._judged:
+            self._judged = now.seen.number
+            self._ages.append(now.t - now.seen.t)
 
-    def exceeded(self, now: Situation) -> tuple[FlightEvent, str] | None:
+    @property
+    def verdict_time(self) -> float:
+        """Longest time, s, from a request for a verdict to the verdict: each of the last took half of it.
+
+        A request waits until the verdict before it is done. Slow verdicts lengthen every wait for one by this.
+        """
+        return 2.0 * max(self._ages)
+
+    def is_overdue(self, t: float, since: float) -> bool:
+        """Whether at `t` a verdict on what was seen at `since` is overdue, both in seconds."""
+        return t - since > self._keys.wait + self.verdict_time
+
+    def exceeded(self, now: Situation) -> Event | None:
         """Return the event of an exceeded limit and its values in words; None: no limit is exceeded.
 
         Call it at every tick. Wind and battery must exceed their limits for some time: a gust or a short dip of the
@@ -58,9 +78,8 @@ class AttemptLimits:
 
         Args:
             state: present state; during HOLD, the state before it.
-            left: height above the site, metres. Near the ground, a landing continues with degraded motion if the
-                autopilot can hold its position.
+            left: height above the site, metres. Near the ground, a landing continues with degraded motion.
         """
-        if state is FlightState.COMMIT and now.holds and is_near_ground(left, self._keys):
+        if state is FlightState.COMMIT and is_near_ground(left, self._keys):
             return False
         return state in NEAR_A_PLACE and now.t - self._sound_at >= self._keys.degraded

@@ -9,6 +9,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.flight.executive.places import Opinion, Standing
+from alight.flight.executive.table import Event
 from alight.flight.executive.ways import ClearWay
 from alight.landing.wind import downwind
 from alight.records import Site, p_safe_text
@@ -50,10 +51,12 @@ class LookLeg:
     def cleared(self, ways: ClearWay, ground: float, seen: MapVerdict) -> LookLeg | None:
         """Return the leg, turned as little as possible so that no obstacle is beside it; None: no turn is clear.
 
-        Turns that keep `ROOMY` times the least distance to obstacles are preferred. Arguments: see `ClearWay.is_free`.
+        Both ends must be inside the bounds. Turns that keep `ROOMY` times the least distance to obstacles are
+        preferred. Arguments: see `ClearWay.is_free`.
         """
         free: LookLeg | None = None
-        for turned in (replace(self, turned=turn) for turn in TURNS):
+        turns = (replace(self, turned=turn) for turn in TURNS)
+        for turned in (t for t in turns if ways.bounds.is_inside(t.start) and ways.bounds.is_inside(t.end)):
             if turned.is_clear(ways, ground, seen, ROOMY):
                 return turned
             if free is None and turned.is_clear(ways, ground, seen):
@@ -82,7 +85,7 @@ class LookPlanner:
     """Plans look legs over the newest map."""
 
     def __init__(self, settings: StageSettings, clear_way: ClearWay) -> None:
-        self._keys, self._route, self._clear_way = settings.executive, settings.route, clear_way
+        self._keys, self._route, self.clear_way = settings.executive, settings.route, clear_way
         self._open: dict[Site, bool] = {}  # whether a location can be crossed, by the newest verdict
         self._number = -1  # number of that verdict
 
@@ -122,10 +125,10 @@ class LookPlanner:
         leg = LookLeg(above, half, now.position, downwind(now.wind, self._route.calm))
         if seen is None:
             return leg
-        if (found := leg.cleared(self._clear_way, place.up, seen)) is not None or flown is None:
+        if (found := leg.cleared(self.clear_way, place.up, seen)) is not None or flown is None:
             return found
         same = float(np.linalg.norm(flown.place - above)) < 0.3  # m
-        return flown if same and flown.is_clear(self._clear_way, place.up, seen) else None
+        return flown if same and flown.is_clear(self.clear_way, place.up, seen) else None
 
     def is_open(self, place: Site, now: Situation, seen: MapVerdict | None) -> bool:
         """Whether a location can be crossed at the height of its first look; see `across` for the arguments."""
@@ -134,13 +137,12 @@ class LookPlanner:
         if seen.number != self._number:
             self._number, self._open = seen.number, {}
         if place not in self._open:
-            self._open[place] = self.across(place, self.first_height(place, now), now, seen) is not None
+            inside = self.clear_way.bounds.is_inside(place.position_world)
+            self._open[place] = inside and self.across(place, self.first_height(place, now), now, seen) is not None
         return self._open[place]
 
 
-def look_outcome(
-    found: Opinion, height: float, better: Site | None, keys: ExecutiveSettings
-) -> tuple[FlightEvent, str] | None:
+def look_outcome(found: Opinion, height: float, better: Site | None, keys: ExecutiveSettings) -> Event | None:
     """Return the event of a look and its reason; None: the location is refused, or in doubt from the lowest look.
 
     Args:

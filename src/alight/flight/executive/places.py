@@ -10,6 +10,7 @@ from itertools import compress
 
 import numpy as np
 
+from alight.flight.executive.bounds import Bounds
 from alight.landing.sites import REASON_WORDS
 from alight.records import Hazard, Site, Terrain, keeps_margin
 from alight.records.executive import MapVerdict
@@ -91,10 +92,18 @@ class KnownPlaces:
         self._refused: list[tuple[float, float]] = []
 
     @property
-    def fates(self) -> str:
-        """Reason why no location was landed on, as the end of a sentence; empty: no location was known."""
-        refused = f"; {len(self._refused)} places were refused from near by" if self._refused else ""
-        return f"{refused}; something stands beside what is left" if self.best() is not None else refused
+    def refusals(self) -> int:
+        """Number of locations that were refused."""
+        return len(self._refused)
+
+    def fates(self, bounds: Bounds) -> str:
+        """Return why no location was landed on, as the end of a sentence; empty: no location was known."""
+        refused = f"; {self.refusals} places were refused from near by" if self._refused else ""
+        at = [p.position_world for p in self._ranked()]
+        outside = [bounds.limit(p) for p in at if not bounds.is_inside(p)]
+        fence = f"; {len(outside)} are outside the fence ({', '.join(sorted({*outside}))})" if outside else ""
+        left = self.best(lambda place: bounds.is_inside(place.position_world)) is not None
+        return f"{refused}{fence}{'; something stands beside what is left' if left else ''}"
 
     def note(self, seen: MapVerdict) -> None:
         """Remember the locations that a new verdict lists; forget earlier locations on ground that the verdict sees."""

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from alight.arrays import F64
+from alight.flight.executive.bounds import Bounds
 from alight.landing.route import Obstructions, along_way, way_below
 from alight.records import Site
 from alight.records.executive import FlightState, MapVerdict
@@ -18,7 +19,7 @@ NEARER = 0.5  # m, least progress towards a point
 
 
 class ClearWay:
-    """Finds paths that are clear of the obstacles on the newest map.
+    """Finds paths that are within `bounds`, and clear of the obstacles on the newest map.
 
     A path over obstacles of doubtful height is flown at the search height or higher: a map once showed 3 m for most of
     a tree of 10 m, and a landing flew into it. The same holds for a long path over partly unmapped ground.
@@ -27,6 +28,7 @@ class ClearWay:
     def __init__(self, settings: StageSettings) -> None:
         self._keys, self._clearance, lander = settings.executive, settings.route.clearance, settings.lander
         self._beside = max(self._clearance, 2.0 * max(lander.radius, lander.rotor_radius or 0.0))  # m
+        self.bounds = Bounds(settings)
         self._number = -1  # number of the verdict
         self._obstructions: Obstructions | None = None  # on the map of that verdict
 
@@ -44,11 +46,14 @@ class ClearWay:
         return max(below.clear, seen.ground + k.search_height) if unsure and not at_a_place else below.clear
 
     def is_free(self, start: F64, to: F64, ground: float, seen: MapVerdict, times: float = 1.0) -> bool:
-        """Whether a level path from `start` to `to`, (3,) metres, near a location is free.
+        """Whether a level path from `start` to `to`, (3,) metres, near a location is free and within bounds.
 
         All obstacles on the map of `seen` within `times` times the larger of `route.clearance` and twice the lander's
         radius must rise at most `executive.rise` above `ground`, metres up, and must stay well below the path.
         """
+        return self.bounds.is_free(start, to) and self._is_unobstructed(start, to, ground, seen, times)
+
+    def _is_unobstructed(self, start: F64, to: F64, ground: float, seen: MapVerdict, times: float) -> bool:
         grid, width = seen.elevation.grid, times * self._beside
         reach = width + 0.5 * math.hypot(to[0] - start[0], to[1] - start[1])
         middle = 0.5 * (start + to)
@@ -62,9 +67,9 @@ class ClearWay:
         return highest <= min(ground + self._keys.rise, float(start[2]) - spare)
 
     def is_free_down(self, place: Site, seen: MapVerdict) -> bool:
-        """Whether no tall obstacle on the map of `seen` is beside the descent to a location; see `is_free`."""
+        """Whether the disc is within bounds, and no tall obstacle beside it, on the way down; see `is_free`."""
         above = np.array([place.east, place.north, place.up + self._keys.commit_height])
-        return self.is_free(above, above, place.up, seen)
+        return self.bounds.has_disc(above) and self._is_unobstructed(above, above, place.up, seen, 1.0)
 
     def _obstructions_of(self, seen: MapVerdict) -> Obstructions:
         if self._obstructions is None or seen.number != self._number:
@@ -98,6 +103,7 @@ class Course:
             seen: newest verdict on a map of this frame; None: no obstacles are known.
             state: state of the executive, which decides how the path avoids obstacles.
         """
+        to = self._clear_way.bounds.next_point(position, to)
         if state in (FlightState.APPROACH, FlightState.DESCEND):
             to = self._downwards(position, to)
         near = math.hypot(*(to[:2] - position[:2])) < 2 * self._keys.arrived
@@ -154,11 +160,13 @@ class SearchLanes:
 
     Args:
         home: middle of the square, (3,) metres, at the search height above the ground, as far as that is known.
+        bounds: bounds of the vehicle; a corner outside moves to the nearest position inside.
     """
 
-    def __init__(self, home: F64, keys: ExecutiveSettings) -> None:
+    def __init__(self, home: F64, keys: ExecutiveSettings, bounds: Bounds) -> None:
         shown = 0.75 * keys.search_height  # m, shorter side of a picture on the ground
-        self._corners = square_spiral(home, max(keys.search_side - shown, 0.0), keys.lane * shown)
+        corners = square_spiral(home, max(keys.search_side - shown, 0.0), keys.lane * shown)
+        self._corners = (bounds.nearest(np.array(corner)) for corner in corners)
         self._arrived = keys.arrived
         self._height, self._ground = keys.search_height, float(home[2]) - keys.search_height
         self._corner = next(self._corners)
@@ -180,7 +188,7 @@ class SearchLanes:
         left, near = self.end(ground) - position, self._arrived
         if math.hypot(left[0], left[1]) < near and left[2] < near:
             corner = next(self._corners, None)
-            self._corner, self.over = corner or self._corner, corner is None
+            self._corner, self.over = self._corner if corner is None else corner, corner is None
 
 
 def square_spiral(centre: F64, side: float, lane: float) -> Iterator[tuple[float, float]]:

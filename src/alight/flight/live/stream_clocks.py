@@ -2,13 +2,15 @@
 
 Stamps come from the sensors; arrival times only serve to find jumps of a clock. A stamp precedes its arrival by a
 delay that varies little. A stamp that is ahead of this delay by more than `JUMP` is a jump of the clock, as no event
-comes from the future. An event whose stamp is behind by more is late and dropped. If a stream stays behind for two
-seconds, its clock has jumped back. A jump is subtracted from all later stamps, so that time is continuous.
+comes from the future. An event whose stamp is behind by more is late and dropped. If the stamps have stepped back
+and stay behind for two seconds, the clock has jumped back: stamps of a backlog go on where the last one was. A jump is
+subtracted from all later stamps, so that time is continuous. Events that are late for `USUAL` seconds are used again.
 """
 
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -17,6 +19,8 @@ from alight.records import Event, Frame, ImuSample, NavSample
 log = logging.getLogger(__name__)
 
 JUMP = 1.0  # s, more than any expected variation of the delay
+STEP_BACK = JUMP / 2  # s, of the stamps at a jump back; the time between two events makes it smaller than the jump
+USUAL = 30.0  # s, over which the least delay counts as the usual one: a backlog has longer delays only
 
 STREAMS: dict[type, str] = {Frame: "frames", NavSample: "GPS/INS rows", ImuSample: "IMU rows"}
 
@@ -33,8 +37,11 @@ class StreamClock:
     on_jump: Callable[[str], None]
     late: int = 0  # number of dropped events
     _shift_ns: int = 0  # added to all stamps
-    _ahead: float | None = None  # s, stamp minus arrival of the last event on time
-    _behind: list[tuple[float, float]] = field(default_factory=list)  # s, (arrival, delay) of late events
+    _ahead: deque[tuple[float, float]] = field(default_factory=deque)  # s, (arrival, stamp minus arrival) of events on
+    # time in the last `USUAL` seconds, each followed by smaller ones only; so the first is the largest
+    _newest_ns: int | None = None  # stamp of the last event, as it came
+    _behind: list[tuple[float, float]] = field(default_factory=list)  # s, (arrival, delay) of late events since a step
+    # back of the stamps
 
     def stamp(self, t_ns: int, arrival: float) -> int | None:
         """Return a stamp corrected for all jumps of the clock; None: the event is late and must be dropped.
@@ -44,21 +51,34 @@ class StreamClock:
             arrival: arrival of the event by a steady clock, s.
         """
         ahead = 1e-9 * (t_ns + self._shift_ns) - arrival
-        if self._ahead is None:
-            self._ahead = ahead
-        off = ahead - self._ahead
+        off = ahead - self._ahead[0][1] if self._ahead else 0.0
+        stepped = self._newest_ns is not None and 1e-9 * (self._newest_ns - t_ns) > STEP_BACK
+        self._newest_ns = t_ns
         if off > JUMP:
             self._take_out(off)
         elif off < -JUMP:
-            self._behind.append((arrival, off))
-            if arrival - self._behind[0][0] < 2.0:
+            if stepped or self._behind:
+                self._behind.append((arrival, off))
+            else:
+                self._forget(arrival)
+            if not self._behind or arrival - self._behind[0][0] < 2.0:
                 self.late += 1
                 return None
             self._take_out(max(by for _, by in self._behind))
         else:
-            self._ahead = ahead
+            self._note(arrival, ahead)
         self._behind.clear()
         return t_ns + self._shift_ns
+
+    def _note(self, arrival: float, ahead: float) -> None:
+        while self._ahead and self._ahead[-1][1] <= ahead:
+            self._ahead.pop()
+        self._ahead.append((arrival, ahead))
+        self._forget(arrival)
+
+    def _forget(self, arrival: float) -> None:
+        while self._ahead and self._ahead[0][0] < arrival - USUAL:
+            self._ahead.popleft()
 
     def _take_out(self, jump: float) -> None:
         self._shift_ns -= round(jump * 1e9)

@@ -9,6 +9,8 @@ import time
 from collections.abc import Iterator, Mapping
 
 from alight.flight.autopilot import Autopilot, TelemetryEvents, open_link
+from alight.flight.autopilot.interference import counts_text
+from alight.flight.autopilot.signing import SigningKey
 from alight.geometry import LocalFrame
 from alight.records import Event, InputError, NavSample
 from alight.sources.calibrated_folder import CalibratedFolder
@@ -26,21 +28,25 @@ class TelemetryFeed:
     Args:
         link: name of the link: `udp:0.0.0.0:14550`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`.
         separation: ellipsoidal height minus altitude above the sea, metres; None: as reported by the receiver.
-        rates: Hz of further streams, by message; see `Autopilot`.
+        rates, key: see `Autopilot`.
 
     Raises:
         InputError: the link cannot be opened.
     """
 
-    def __init__(self, link: str, separation: float | None = None, rates: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self, link: str, separation: float | None = None, rates: Mapping[str, float] | None = None,
+        key: SigningKey | None = None,
+    ) -> None:  # fmt: skip
         self.name = link
         self.link = open_link(link)
         self.events_of = TelemetryEvents(None, separation)
-        self.autopilot = Autopilot(rates, self.events_of)
+        self.autopilot = Autopilot(rates, self.events_of, key=key)
         self.lock = threading.Lock()  # guards the autopilot, which gets orders from several threads
         self._samples: queue.Queue[Event] = queue.Queue()
         self._sending = threading.Lock()  # orders are sent at once, without waiting for the listener
         self._ended, self._located = threading.Event(), False
+        self._alive = True  # whether the vehicle was not lost when the listener looked last
         self._trouble = ""  # the newest error of the listener
         threading.Thread(target=self._listen, daemon=True).start()
 
@@ -55,7 +61,9 @@ class TelemetryFeed:
             if time.monotonic() > end:
                 with self.lock:
                     connected = self.autopilot.telemetry is not None
-                why = self.events_of.missing if connected else "no heartbeat of an autopilot comes"
+                    dropped = counts_text(self.autopilot.dropped)
+                silent = "no heartbeat of an autopilot comes" + (f"; dropped messages: {dropped}" if dropped else "")
+                why = self.events_of.missing if connected else silent
                 raise InputError(f"{self.name}: no position within {PATIENCE:.0f} s: {why or 'no clock in common yet'}")
             time.sleep(READ)
         assert self.events_of.local is not None
@@ -120,6 +128,9 @@ class TelemetryFeed:
                 self.autopilot.receive(data, time.monotonic_ns())
             self.autopilot.tick(time.monotonic_ns())
             samples = self.autopilot.samples()
+            was_alive, self._alive = self._alive, self.autopilot.vehicle is None or self.autopilot.vehicle.alive
+        if was_alive and not self._alive:
+            self.link.reopen()
         self._send()
         for sample in samples:
             self._located |= isinstance(sample, NavSample) and sample.position_world is not None
@@ -127,10 +138,12 @@ class TelemetryFeed:
                 self._samples.put(sample)
 
 
-def with_telemetry(opened: LiveSource, link: str, separation: float | None = None) -> LiveSource:
+def with_telemetry(
+    opened: LiveSource, link: str, separation: float | None = None, key: SigningKey | None = None
+) -> LiveSource:
     """Combine a source of pictures with an autopilot's GPS/INS; the world's origin is the autopilot's position.
 
-    `link`, `separation`: see `TelemetryFeed`.
+    `link`, `separation`, `key`: see `TelemetryFeed`.
 
     Raises:
         InputError: the source is a recording, or the autopilot gives no position.
@@ -138,7 +151,7 @@ def with_telemetry(opened: LiveSource, link: str, separation: float | None = Non
     source = opened.source
     if not isinstance(source, CalibratedFolder) or not opened.real_time:
         raise InputError(f"{source.name}: has a clock of its own; --telemetry goes with cameras and folders that fill")
-    feed = TelemetryFeed(link, separation)
+    feed = TelemetryFeed(link, separation, key=key)
     try:
         source.locate(feed.wait_for_position())
     except InputError:

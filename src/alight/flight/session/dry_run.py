@@ -1,14 +1,17 @@
-"""The receiver of a landing's commands in a dry run, in place of the vehicle."""
+"""A dry run: the receiver of a landing's commands in place of the vehicle, and a report of its parameters."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 
 import numpy as np
 
 from alight.arrays import F64
 from alight.flight.autopilot import EstimateTie, RemoteVehicle, Setpoint, metres_between
+from alight.flight.live.telemetry import TelemetryFeed
+from alight.flight.session import preflight
 from alight.records import FlightMode, Place
 
 
@@ -80,3 +83,18 @@ def place_text(place: Place) -> str:
     """Return a position as text: degrees, metres above sea level, and metres above home if known."""
     above = "" if math.isnan(place.above_home) else f", {place.above_home:.1f} m above home"
     return f"{place.latitude:.7f} {place.longitude:.7f}, {place.altitude_msl:.1f} m above the sea{above}"
+
+
+def report_parameters(feed: TelemetryFeed, on_line: Callable[[str], None]) -> None:
+    """Print the checks of the autopilot's parameters as soon as they are read; wait for them at most five seconds."""
+    end = time.monotonic() + 5.0
+    while time.monotonic() < end:
+        with feed.lock:
+            vehicle = feed.autopilot.vehicle
+            found = [] if vehicle is None else preflight.judge_parameters(vehicle)
+            read = vehicle is not None and vehicle.onboard.parameters_over
+        if read:
+            for check in found:
+                on_line(check.line)
+            return
+        time.sleep(0.05)

@@ -10,12 +10,14 @@ from dataclasses import replace
 import numpy as np
 
 from alight.arrays import F64, U8
-from alight.flight.autopilot import RemoteVehicle
+from alight.flight.autopilot import RemoteVehicle, on_plane
+from alight.flight.session.wind import WindWatch
 from alight.geometry import LocalFrame
 from alight.pipeline import Verdict
-from alight.records import Frame, Motion, MotionState, Telemetry
+from alight.records import FlightMode, Frame, Motion, MotionState, Telemetry
 from alight.records.executive import MapVerdict, Situation
 
+WIND_KNOWN = 2.0  # m/s, 1-sigma up to which an estimated wind is used
 SILENT = 20.0  # s without a report, after which a battery that was reported is unknown
 
 
@@ -42,10 +44,10 @@ class PictureWatch:
         exposure, as the gap before it would look like a jump of the camera's clock.
         """
         self.frames, self.delay = self.frames + 1, (now_ns - frame.t_ns) * 1e-9
-        self._arrivals.append(now_ns * 1e-9)
         self._begun = self._begun or self.delay < 1.0
         if not self._begun:
             return None
+        self._arrivals.append(now_ns * 1e-9)
         small = {cam: np.asarray(i)[::4, ::4].copy() for cam, i in enumerate(frame.images) if i is not None}
         repeated = {cam for cam, i in small.items() if cam in self._last and np.array_equal(i, self._last[cam])}
         self._last.update(small)
@@ -59,7 +61,7 @@ class PictureWatch:
         return replace(frame, images=tuple(None if cam in repeated else i for cam, i in enumerate(frame.images)))
 
     def rate(self, now_ns: int) -> float:
-        """Return the number of exposures per second, over the last three seconds."""
+        """Return the number of exposures per second, over the last three seconds, without those before the flight."""
         return sum(now_ns * 1e-9 - t < 3.0 for t in tuple(self._arrivals)) / 3.0
 
     def age(self, now_ns: int) -> float:
@@ -100,6 +102,7 @@ class LandingInputs:
     ) -> None:
         self._vehicle, self._local, self._stale, self._note = vehicle, local, stale, note
         self.pictures, self._battery = PictureWatch(), BatteryWatch()
+        self.wind_watch, self._wind_noted = WindWatch(), False
         self.motion: Motion | None = None  # of the newest tracked exposure
         self.verdict: MapVerdict | None = None  # the newest
         self.verdict_ns = 0  # stamp of the newest exposure in its map
@@ -157,7 +160,7 @@ class LandingInputs:
             self._note("autopilot", f"its estimator has {'a' if located else 'no'} position on Earth")
         self._had_position = located
         self._flying |= in_control
-        known, wind = state in (MotionState.GOOD, MotionState.DEGRADED), reports.wind_world
+        known = state in (MotionState.GOOD, MotionState.DEGRADED)
         rebooted = self._vehicle.starts != self._starts
         position = self._position(m, now_ns) if m is not None and known else None
         now = Situation(
@@ -169,13 +172,36 @@ class LandingInputs:
             self.pictures.age(now_ns),
             self.pictures.frozen > 0,
             link=self._vehicle.alive and not rebooted,
+            failsafe=self._vehicle.failsafe,
             pilot=self._flying and not in_control and not rebooted,
+            contact=reports.has_contact,
             standing=reports.is_down,
             battery=self._battery.share(reports, now_ns * 1e-9),
-            wind=wind if np.isfinite(wind[:2]).all() else None,
-            holds=located,
+            wind=self._wind(reports),
+            holds=reports.can_hold,
+            lands=reports.mode is FlightMode.LAND,
+            steers=self._vehicle.firmware.takes_targets,
+            offset=None if m is None or position is None else self._offset(m),
         )
         return now, m if position is not None else None
+
+    def _wind(self, reports: Telemetry) -> F64 | None:
+        """Return the wind, (3,) m/s as reported or (2,) m/s by the lean; None: unknown."""
+        if np.isfinite(reports.wind_world[:2]).all():
+            return reports.wind_world
+        self.wind_watch.add(reports)
+        wind, sigma = self.wind_watch.estimate
+        if sigma > WIND_KNOWN:
+            return None
+        if not self._wind_noted:
+            self._wind_noted = True
+            self._note("autopilot", f"wind by the lean: {math.hypot(*wind):.1f} m/s, 1-sigma {sigma:.1f}")
+        return wind
+
+    def _offset(self, motion: Motion) -> F64 | None:
+        """Return the way, (2,) metres, from the map frame to the plane of the autopilot's fence; None: unknown."""
+        place = self._vehicle.place_at(motion.t_ns)
+        return None if place is None else on_plane(self._local, place) - motion.world_from_body.translation[:2]
 
     def _position(self, motion: Motion, now_ns: int) -> F64 | None:
         """Return the present position, (3,) metres: of `motion`, plus the displacement since then; None: unknown."""

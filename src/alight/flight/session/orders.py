@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -12,13 +13,14 @@ from alight.arrays import F64
 from alight.flight.autopilot import EstimateTie, RemoteVehicle, Setpoint, metres_between
 from alight.flight.session.dry_run import VehicleCommands, place_text
 from alight.geometry import LocalFrame
-from alight.records import FlightMode, Landed, Motion, Place, Telemetry
+from alight.records import FlightMode, Motion, Place, Telemetry
 from alight.records.executive import FlightState, Order
 from alight.settings import ExecutiveSettings
 
 TOUCH, LOW = 1.0, 3.0  # m above the estimated height of the site
 TOUCH_NS, STILL_NS = 800_000_000, 2_000_000_000  # time without sinking at a touchdown: below TOUCH, and below LOW
 AGAIN_NS = 2_000_000_000  # until a refused mode is ordered again
+REFUSALS = 3  # of one mode in a row, after which a person is warned, and a mode to stop by is given up
 LEAST_SPEED = 0.2  # m/s: an autopilot refuses a speed of 0
 
 
@@ -47,7 +49,7 @@ class Contact:
             self._still_ns = now_ns
         least = TOUCH_NS if height is not None and height < TOUCH else STILL_NS
         stopped = self._still_ns is not None and now_ns - self._still_ns >= least
-        return stopped or reports.landed is Landed.GROUND
+        return stopped or reports.has_contact
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +79,9 @@ class OrderSender:
         self._stale = keys.stale  # s, age of its position beyond which the autopilot is ordered to hold by itself
         self._farthest = 2.0 * keys.search_side, keys.search_height + 60.0  # m, longest path: over the ground, upwards
         self._mode: FlightMode | None = None  # ordered
-        self._ticket, self._refused_ns, self._refusals = -1, -AGAIN_NS, 0
+        self._ticket, self._refused_ns = -1, -AGAIN_NS
+        self._refusals = Counter[FlightMode | None]()  # by mode, since an order of a mode was accepted
+        self.stop_mode = FlightMode.HOLD  # or LAND once HOLD was refused, as without a position; until guided again
         self._heading: float | None = None  # rad clockwise from north, of the nose under guidance
         self._wanted: tuple[FlightMode, int] | None = None  # mode to order, and since when it is wanted
         self._held: tuple[Place, int] | None = None  # held position, and instant of its last order
@@ -111,8 +115,11 @@ class OrderSender:
         return self._go(order.position, order, motion, now_ns)
 
     def stop(self, now_ns: int) -> bool:
-        """Order the autopilot to hold by itself; return False while the order must wait."""
-        return self.order_mode(FlightMode.HOLD, now_ns)
+        """Order the autopilot to hold by itself or, if it refuses, to land; if it refuses that too, order nothing.
+
+        Return False while no order is given.
+        """
+        return not self._cannot_stop and self.order_mode(self.stop_mode, now_ns)
 
     def on_answer(self, ticket: int | None, ok: bool, now_ns: int) -> None:
         """Process the answer to a command; a mode that was refused is ordered again after `AGAIN_NS`.
@@ -123,18 +130,27 @@ class OrderSender:
             return
         self._ticket = -1
         if ok:
-            self._refusals = 0
+            self._refusals.clear()
             return
-        self._refusals += 1
-        if self._refusals == 3 and self._mode is not None:
-            self._warn(f"{self._mode.value} was refused {self._refusals} times: be ready to take over")
-        self._mode, self._refused_ns = None, now_ns
+        refused, self._mode, self._refused_ns = self._mode, None, now_ns
+        self._refusals[refused] += 1
+        now = self._vehicle.telemetry
+        fails = refused is FlightMode.HOLD and now.mode is not FlightMode.HOLD
+        if fails and (self._refusals[refused] >= REFUSALS or not now.can_hold):
+            self.stop_mode, self._refused_ns = FlightMode.LAND, -AGAIN_NS
+            self._warn("hold was refused: it is ordered to land where it is")
+        elif refused is not None and self._refusals[refused] == REFUSALS:
+            self._warn(f"{refused.value} was refused {REFUSALS} times: be ready to take over")
+
+    @property
+    def _cannot_stop(self) -> bool:
+        return self.stop_mode is FlightMode.LAND and self._refusals[FlightMode.LAND] >= REFUSALS
 
     def order_mode(self, mode: FlightMode, now_ns: int) -> bool:
         """Order a mode once; return False while the order must wait.
 
         While we are in control, the command waits for the next heartbeat. So it does not undo a mode that a pilot has
-        switched to since the last heartbeat.
+        switched to since the last heartbeat. Guided mode waits for a position of the autopilot.
         """
         if self._mode is mode:
             self._wanted = None  # another mode must not be ordered later by an old heartbeat
@@ -143,20 +159,23 @@ class OrderSender:
             self._wanted = mode, now_ns
         heartbeat_ns = now_ns - round(1e9 * self._vehicle.telemetry.ages.get("HEARTBEAT", 1e3))
         stale = self._commands.in_control and heartbeat_ns < self._wanted[1]
-        if stale or now_ns - self._refused_ns < AGAIN_NS:
+        astray = mode is FlightMode.GUIDED and not self._vehicle.telemetry.can_hold
+        if stale or astray or now_ns - self._refused_ns < AGAIN_NS:
             return False
         self._wanted = self._heading = None
         self._mode = mode
+        if mode is FlightMode.GUIDED:
+            self.stop_mode = FlightMode.HOLD
         self._ticket = self._commands.set_mode(mode)
         return True
 
     def _hold(self, state: FlightState, now_ns: int) -> str:
-        """Hold in guided mode or, in state HOLD or ABORT or without a new position, in HOLD mode; return the action."""
+        """Hold in guided mode or, in state HOLD or ABORT or without a new position, by `stop`; return the action."""
         here = self._vehicle.place_at(now_ns) or self._vehicle.telemetry.place
         if state in (FlightState.HOLD, FlightState.ABORT) or here is None or self._vehicle.place_age > self._stale:
             self._held = None  # else it would fly to a position from before a jump of the estimate
-            self.order_mode(FlightMode.HOLD, now_ns)
-            return "hold"
+            self.stop(now_ns)
+            return "nothing: hold and land were refused" if self._cannot_stop else self.stop_mode.value
         self.order_mode(FlightMode.GUIDED, now_ns)
         kept = self._kept(here, now_ns)
         self._held = kept, now_ns
@@ -210,7 +229,11 @@ class OrderSender:
             return "land" if stays else self._lost(motion, now_ns)
         self._site_above = site.goal.above_home
         if not order.down:
-            return self._go(over, order, motion, now_ns)
+            action = self._go(over, order, motion, now_ns)
+            if lands and self._mode is FlightMode.GUIDED:
+                beside = math.hypot(site.way[0], site.way[1])
+                self._warn(f"the descent waits {-site.way[2]:.1f} m above the site, {beside:.1f} m beside it")
+            return action
         if self._is_high and not lands:
             over = np.array([*place[:2], place[2] - 1.5])  # below the site
             if not self._contact.is_felt(-float(site.way[2]), order.sink, self._vehicle.telemetry, now_ns):

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from alight.flight.autopilot import RemoteVehicle
+import numpy as np
+
+from alight.flight.autopilot import RemoteVehicle, on_plane
+from alight.flight.executive.bounds import Bounds
 from alight.flight.executive.executive import Executive
+from alight.flight.executive.search import Goal
 from alight.flight.session.dry_run import VehicleCommands
 from alight.flight.session.inputs import LandingInputs
 from alight.flight.session.orders import OrderSender
 from alight.geometry import Grid, LocalFrame
+from alight.outputs.reading import EarlierSite
 from alight.outputs.recorder import Recorder
 from alight.pipeline import FlightPolicy
 from alight.records import FlightMode, Landed, Motion, Notice, NoticeKind, Site, Telemetry
@@ -132,6 +137,7 @@ class LandingPilot:
         self._vehicle, self._commands, self._policy, self._log = vehicle, commands, policy, log
         stages = settings.stages()
         self.executive, k = Executive(stages), stages.executive
+        self._stages, self._local = stages, local
         self.inputs = LandingInputs(vehicle, local, k.stale, log.note)
         self.delays = {name: deque[float](maxlen=20_000) for name in ("image to way-point", "image to set-point")}
         self._led = dict.fromkeys(self.delays, 0)  # newest exposures that led to an order
@@ -166,14 +172,24 @@ class LandingPilot:
         if notice.kind is NoticeKind.COMMAND:
             self.orders.on_answer(notice.ticket, notice.ok, notice.t_ns)
 
-    def begin(self, now_ns: int, flying: bool = False) -> None:
-        """Begin the landing.
+    def begin(self, now_ns: int, flying: bool = False, goals: Sequence[EarlierSite] = ()) -> None:
+        """Begin the landing, within the fence that was read from the autopilot.
 
         Args:
             now_ns: present time of our clock, time zero of the diary.
             flying: whether we took off. If so, lost control is a takeover, and control is not taken back.
+            goals: places to look at first, in this order.
         """
         self.inputs.begin(now_ns, flying)
+        place = self._vehicle.telemetry.place
+        start = np.zeros(2) if place is None else on_plane(self._local, place)
+        bounds, within = Bounds(self._stages, self._vehicle.fence_of(self._local), start), list[Goal]()
+        for goal in (Goal(g.name, on_plane(self._local, g)) for g in goals):
+            if why := bounds.objection(goal.position):
+                self._log.note("sites", f"{goal.name} is left out: {why}")
+            else:
+                within.append(goal)
+        self.executive.confine(bounds, within)
 
     def tick(self, now_ns: int) -> PilotView:
         """Decide if due (at 10 Hz; while landing or after a new verdict, at every call); return the present view."""

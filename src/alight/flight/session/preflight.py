@@ -7,9 +7,14 @@ import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from alight.checks.result import CheckResult, bad, good, unknown, warning
-from alight.flight.autopilot import RemoteVehicle, StreamRate
-from alight.records import FIX_3D, Landed, Motion, MotionState, Rig, Telemetry
+from alight.flight.autopilot import RemoteVehicle, StreamRate, judged_parameters
+from alight.flight.executive.bounds import Bounds
+from alight.flight.live.speed import LASTS, Speed
+from alight.geometry import LocalFrame
+from alight.records import FIX_3D, InputError, Landed, Motion, MotionState, Rig, Telemetry
 from alight.settings import Settings
 
 LEAST_RATE, GOOD_RATE = 2.0, 4.0  # exposures per second
@@ -22,18 +27,24 @@ INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
 NEEDED = ("ATTITUDE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT")  # messages without which no landing begins
 
 
-def judge_link(name: str, messages: int, vehicle: RemoteVehicle | None, refused: str) -> list[CheckResult]:
+def judge_link(
+    name: str, messages: int, vehicle: RemoteVehicle | None, refused: str, dropped: str = ""
+) -> list[CheckResult]:
     """Check the link, and the autopilot at its other end.
 
     Args:
         name, messages: name of the link, and the number of messages received over it.
         vehicle: the vehicle found; None: no vehicle.
         refused: reason why a sender was not accepted as the vehicle; empty: no sender was refused.
+        dropped: numbers of dropped messages, in words; empty: none was dropped.
     """
+    if not messages and dropped:
+        mend = "give the autopilot the passphrase in the key's file; after a crash of this program wait five seconds"
+        return [bad("link", f"no message over {name} is signed with the key: {dropped}", mend)]
     if not messages:
         mend = "see that the autopilot sends MAVLink there: port, baud rate, address"
         return [bad("link", f"nothing has come over {name}", mend)]
-    link = good("link", f"{messages} messages over {name}")
+    link = good("link", f"{messages} messages over {name}" + (f"; dropped: {dropped}" if dropped else ""))
     if vehicle is None:
         what = refused or "messages come, but no heartbeat of an autopilot"
         return [link, bad("autopilot", what, "fly ArduPilot's Copter or PX4's multicopter (docs/autopilot.md)")]
@@ -58,8 +69,18 @@ def judge_vehicle(
         _clock(vehicle), _streams(vehicle.missing_streams, vehicle.stream_rates), _estimator(vehicle, missing),
         _home(now, home_given),
         _battery(now, settings.executive.least_battery), _wind(now, settings.executive.most_wind),
-        _place(now, take_off, dry, 2.0 * settings.executive.commit_height),
+        _place(now, take_off, dry, 2.0 * settings.executive.commit_height), *judge_throttle(vehicle),
     ]  # fmt: skip
+
+
+def judge_throttle(vehicle: RemoteVehicle) -> list[CheckResult]:
+    """Check the pilot's throttle stick if the motors run."""
+    if not vehicle.telemetry.armed:
+        return []
+    if vehicle.throttle_low:
+        why = "its stick is down: after a takeover the vehicle would sink"
+        return [warning("throttle", why, "put the stick in the middle now; later its move is a takeover")]
+    return [good("throttle", "its stick is not down")]
 
 
 def _clock(vehicle: RemoteVehicle) -> CheckResult:
@@ -105,6 +126,54 @@ def judge_imu(vehicle: RemoteVehicle, wanted: float) -> CheckResult:
     if any(r.slow for r in rates.values()):
         return warning("IMU", _rates(rates), FASTER)
     return good("IMU", "samples come")
+
+
+def judge_parameters(vehicle: RemoteVehicle) -> list[CheckResult]:
+    """Check the stored parameters, and begin to read what the autopilot stores if that was not begun.
+
+    There is a result for each parameter with a value that is not accepted, and one for all.
+    """
+    data, table = vehicle.onboard, judged_parameters(vehicle.firmware.name)
+    data.begin([*table, *vehicle.firmware.fence_parameters])
+    if not data.parameters_over:
+        return [bad("parameters", "they are being read", "wait")]
+    read = {p: data.parameters[name] for name, p in table.items() if name in data.parameters}
+    differ = [p for p, value in read.items() if not p.is_accepted(value)]
+    found = [(bad if p.needed else warning)(p.name, f"it is {read[p]:g}: {p.why}", p.remedy) for p in differ]
+    number = f"{len(read)} read, {len(differ)} to set otherwise"
+    if missing := [name for name in table if name not in data.parameters]:
+        return [*found, unknown("parameters", f"{number}; no answer for {', '.join(missing)}: look at them yourself")]
+    return [*found, good("parameters", number)]
+
+
+def judge_fence(vehicle: RemoteVehicle, settings: Settings) -> list[CheckResult]:
+    """Check that the fence and the rally points were read, and how much of the search area the fence leaves."""
+    fence, rally, place = vehicle.onboard.fence, vehicle.onboard.rally, vehicle.telemetry.place
+    if not (fence.over and rally.over):
+        return [bad("fence", "it is being read", "wait")]
+    points = "rally points cannot be had" if rally.items is None else f"{len(rally.items)} rally points"
+    if fence.items is None and fence.count:
+        why = f"the autopilot announces one (items: {fence.count}), and it cannot be had: {fence.failed}"
+        return [bad("fence", why, "mend the link and begin again, or upload the fence again")]
+    if fence.items is None:
+        act = "its own fence still acts; see the link, or keep the search far from it"
+        return [warning("fence", f"it cannot be had ({fence.failed}); {points}", act)]
+    if not fence.items:
+        return [good("fence", f"the autopilot has none; {points}")]
+    if place is None:
+        return [bad("fence", "no position yet, so it cannot be judged", "wait")]
+    local = LocalFrame(place.latitude, place.longitude, place.altitude_msl)
+    try:
+        region = vehicle.fence_of(local)
+    except InputError as e:
+        return [bad("fence", str(e), "mend it in the ground station, and upload it again")]
+    bounds, at, side = Bounds(settings.stages(), region), np.zeros(2), settings.executive.search_side
+    share, names = bounds.share(side), ", ".join(z.name for z in region.zones)
+    if not bounds.has_disc(at) or share == 0.0:
+        why = f"the search area is outside, or the vehicle's disc has no room in it: {bounds.limit(at)}"
+        return [bad("fence", why, "fly to where there is room, or move the fence")]
+    left = f"{names}; {100 * share:.0f} % of the search area are inside; {points}"
+    return [good("fence", left) if share > 0.5 else warning("fence", left, "search elsewhere, or set a smaller margin")]
 
 
 def _estimator(vehicle: RemoteVehicle, missing: str) -> CheckResult:
@@ -218,6 +287,24 @@ def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, 
     else:
         disk = good("disk", f"{free:.0f} MB are free, the recording may need {need:.0f}")
     return [loops, disk]
+
+
+def judge_speed(speed: Speed, unjudged: float) -> CheckResult:
+    """Check that the lanes are fast enough on this computer.
+
+    Args:
+        speed: times of the lanes, measured before the flight.
+        unjudged: age of the newest verdict beyond which a landing ends, if verdicts were fast before, s.
+    """
+    limits = Speed(1.0 / GOOD_RATE, 1.0 / GOOD_RATE, unjudged / 2.0)  # two verdicts are one after the other
+    facts = [
+        f"no {name} in {LASTS:.0f} s" if math.isnan(took) else f"a {name} takes {took:.2f} s of {most:.2f} s"
+        for name, took, most in zip(("frame", "step of the map", "verdict"), speed, limits, strict=True)
+    ]
+    if all(took <= most for took, most in zip(speed, limits, strict=True)):
+        return good("computer", ", ".join(facts))
+    mend = "end other programs, or set a larger parallax.cell: looks and the landing wait for verdicts"
+    return warning("computer", ", ".join(facts), mend)
 
 
 def judge_motion(motion: Motion | None, age: float) -> CheckResult:

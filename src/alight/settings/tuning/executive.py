@@ -89,4 +89,7 @@ class ExecutiveTuning(FrozenModel):
         3.0, description="Height above the ground about it from which what is in doubt may be a tree, m"
     )
     risen: NonNegative = Field(1.0, description="Area of this below a way that may be flown low, m^2")
+    fence_margin: NonNegative = Field(
+        2.0, description="Least distance between the vehicle's disc and the autopilot's fence, m; half of it on the way"
+    )
     arrived: Positive = Field(1.0, description="Distance within which a way-point is reached, m")

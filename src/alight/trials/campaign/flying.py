@@ -30,6 +30,7 @@ from alight.trials.campaign.faults import Happenings
 from alight.trials.campaign.outcome import Contacts, ground_picture, judge_landing, met
 from alight.trials.campaign.worlds import campaign_world, error_line, is_factory, made_world
 from alight.trials.landing import Landing, fly_landing
+from alight_sim.autopilot import PX4_CONTROLLER
 from alight_sim.oracle import OracleLander
 from alight_sim.scene import Scene
 from alight_sim.scene_world import SceneWorld
@@ -98,6 +99,7 @@ def checked_vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
     vehicle = SteeredFlight(
         world, c.flight_seed, start=world.start, heading=c.heading, wind=(*c.wind, 0.0), gusts=c.gusts, nav=nav,
         radius=OracleLander.of(settings.lander.model_dump()).reach,
+        limits=PX4_CONTROLLER if c.firmware == "px4" else None,
     )  # fmt: skip
     least = 1.5 * world.cell  # the plane of a footprint needs three cells
     if settings.lander.radius < least:
