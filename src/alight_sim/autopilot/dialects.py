@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from scipy.constants import g
 
 from alight.records.telemetry import FirmwareName
 from alight_sim.point_mass import FlightLimits
-from alight_sim.vehicle import GRAVITY
 
 
 class Doing(Enum):
@@ -60,7 +60,7 @@ class Dialect:
 
 
 PX4_CONTROLLER = FlightLimits(  # PX4's position controller: MPC_TILTMAX_AIR is its only limit of the acceleration
-    speed=12.0, climb=3.0, sink=1.5, acceleration=GRAVITY * math.tan(math.radians(45.0)), reaction=1.0 / 1.8,
+    speed=12.0, climb=3.0, sink=1.5, acceleration=g * math.tan(math.radians(45.0)), reaction=1.0 / 1.8,
     approach=0.95, lag=0.1,
 )  # fmt: skip
 DIALECTS: Mapping[FirmwareName, Dialect] = {
