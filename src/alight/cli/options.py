@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields
@@ -53,6 +54,13 @@ Places = Annotated[
     Path | None,
     typer.Option("--places", metavar="FILE", help="Places of photos instead of their tags: geo.txt or CSV."),
 ]
+
+
+Topic = Annotated[
+    list[str] | None,
+    typer.Option("--topic", metavar="ROLE=TOPIC", help="Topic of a ROS bag for left, right, position, attitude, ..."),
+]
+TopicFile = Annotated[Path | None, typer.Option("--topics", metavar="FILE", help="The same as YAML: role: topic.")]
 
 
 @dataclass(kw_only=True)
@@ -111,6 +119,35 @@ class RouteOptions(ResultOptions):
         Path | None,
         typer.Option(metavar="GRID", help="Geoid heights (EGM2008, GeoTIFF): of --home, and of photos above the sea."),
     ] = None
+
+
+def topic_keys(topics: Sequence[str] | None, file: Path | None) -> list[str]:
+    """Return `ROLE=TOPIC` assignments and those of a file as assignments of settings; those of the file come first."""
+    read = keys_of(file, "topics", "sources.topics", "roles such as 'left: /cam0/image_raw'") if file else []
+    return [*read, *(f"sources.topics.{topic}" for topic in topics or ())]
+
+
+def keys_of(file: Path, group: str, prefix: str, want: str) -> list[str]:
+    """Return the keys of a YAML file as assignments of settings; it may have them under `group:` or without it.
+
+    Args:
+        prefix: the settings' name of the group.
+        want: what the file needs, for the message.
+
+    Raises:
+        SettingsError: the file cannot be read or holds no keys.
+    """
+    from alight.documents import DocumentError, parse_yaml
+    from alight.records import SettingsError
+
+    try:
+        tree: Any = parse_yaml(yaml_text(file))
+    except DocumentError as e:
+        raise SettingsError(f"{file}: {e}") from e
+    tree = tree.get(group, tree) if isinstance(tree, dict) else tree
+    if not isinstance(tree, dict) or not tree:
+        raise SettingsError(f"{file}: needs {want}")
+    return [f"{prefix}.{key}={json.dumps(value, default=str)}" for key, value in tree.items()]
 
 
 def yaml_text(file: Path) -> str:

@@ -31,7 +31,7 @@ class RunOptions(options.RouteOptions):
     """Options of `alight run`."""
 
     source: Annotated[
-        Path, typer.Argument(metavar="INPUT", help="A flight log, photos, frames with a log, or a video.")
+        Path, typer.Argument(metavar="INPUT", help="A flight log, a ROS bag, photos, frames with a log, or a video.")
     ]
     poses: Annotated[
         str | None, typer.Option(metavar="FILE|truth", help="Body poses (TUM, ENU) instead of the estimate.")
@@ -48,13 +48,16 @@ class RunOptions(options.RouteOptions):
         bool, typer.Option("--resume", help="Go on with an interrupted run of the same photos and settings in OUT.")
     ] = False
     scheduler: options.Scheduler = None
+    topic: options.Topic = None
+    topics: options.TopicFile = None
 
 
 @app.command()
 @options.command_of(RunOptions)
 def run(o: RunOptions) -> None:
     """Find a landing site in a recorded flight or a folder of photos."""
-    chosen = o.read_settings(after=[f"parallax.quality={o.quality}"] if o.quality else ())
+    quality = [f"parallax.quality={o.quality}"] if o.quality else []
+    chosen = o.read_settings(after=[*quality, *options.topic_keys(o.topic, o.topics)])
     from alight.runner import replay
     from alight.runs import known_home
 
@@ -70,9 +73,11 @@ class CheckOptions(options.SettingsOptions):
     """Options of `alight check`."""
 
     source: Annotated[
-        Path, typer.Argument(metavar="SOURCE", help="A flight log (mav0/), a recording (.mcap), or photos.")
+        Path, typer.Argument(metavar="SOURCE", help="A flight log (mav0/), a recording (.mcap), a ROS bag, or photos.")
     ]
     places: options.Places = None
+    topic: options.Topic = None
+    topics: options.TopicFile = None
     seconds: Annotated[float, typer.Option(min=1.0, help="How much of the recording is read.")] = 10.0
     start: Annotated[float, typer.Option(min=0.0, help="Seconds from the first exposure at which to begin.")] = 0.0
     as_json: Annotated[bool, typer.Option("--json", help="Print records instead of lines.")] = False
@@ -85,7 +90,7 @@ def check(o: CheckOptions) -> None:
 
     With --verbose, the facts in the tags of each photo are logged.
     """
-    chosen = o.read_settings()
+    chosen = o.read_settings(after=options.topic_keys(o.topic, o.topics))
     from alight.checks.result import Judged
     from alight.records import PhotoRow
     from alight.runner.checking import check_opened
@@ -156,7 +161,9 @@ def judge_raster(o: HazardsOptions) -> None:
     from alight.runner import judge
     from alight.sources.raster import read_ground
 
-    chosen = judge.for_surveyed_heights(o.read_settings(before=_lander(o.lander) if o.lander else ()))
+    want = "keys of the lander such as 'radius: 1.5'; 'alight settings' lists them"
+    keys = options.keys_of(o.lander, "lander", "lander", want) if o.lander else ()
+    chosen = judge.for_surveyed_heights(o.read_settings(before=keys))
     ground = read_ground(o.dem, o.sigma, o.image, chosen.hazards.usual_sigma)
     prepare_folder(o.out, o.force, ground.files)
     with progress_bar() as report:
@@ -180,25 +187,6 @@ def judge_raster(o: HazardsOptions) -> None:
             print_line(f"{name.upper()}  {result.notes[name]}")
     judged.save(o.out, o.force)
     print_line(f"report: {o.out / 'report.html'}")
-
-
-def _lander(file: Path) -> list[str]:
-    """Return the keys of a lander's file as assignments; the file may have them under `lander:` or without it.
-
-    Raises:
-        SettingsError: the file cannot be read or holds no keys.
-    """
-    from alight.documents import DocumentError, parse_yaml
-    from alight.records import SettingsError
-
-    try:
-        tree: Any = parse_yaml(options.yaml_text(file))
-    except DocumentError as e:
-        raise SettingsError(f"{file}: {e}") from e
-    tree = tree.get("lander", tree) if isinstance(tree, dict) else tree
-    if not isinstance(tree, dict) or not tree:
-        raise SettingsError(f"{file}: needs keys of the lander such as 'radius: 1.5'; 'alight settings' lists them")
-    return [f"lander.{key}={json.dumps(value, default=str)}" for key, value in tree.items()]
 
 
 @terrain.command("train")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from alight.records import InputError
 from alight.settings import Settings
 from alight.sources import Source
+from alight.sources.bags.finding import bag_files
 from alight.sources.source import Findings
 
 if TYPE_CHECKING:
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
 VIDEOS = (".mp4", ".mov", ".m4v")
 LOGS = {".ulg": rb"ULog", ".bin": rb"\xa3\x95", ".tlog": rb".{8}[\xfd\xfe]"}  # first bytes of autopilots' logs
 LOOKED_FOR = (
-    "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos, frames "
-    "with an autopilot's log (.ulg, .bin, .tlog), or a video (.mp4) with a .srt or .gpx"
+    "a flight log (a folder with mav0/), a recording (.mcap), a ROS bag (.bag, .db3, .mcap), a folder of photos, "
+    "frames with an autopilot's log (.ulg, .bin, .tlog), or a video (.mp4) with a .srt or .gpx"
 )
 
 
@@ -58,6 +59,8 @@ def open_source(
 def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | None) -> Source:
     if not path.exists():
         raise InputError(f"{path}: no such folder; give {LOOKED_FOR}")
+    if path.is_file() and (parts := bag_files(path)):
+        return _open_bag(path, parts, settings)
     if path.is_file() and path.suffix.lower() == ".mcap":
         from alight.sources.recording import Recording
 
@@ -75,6 +78,8 @@ def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | Non
         flight = FlightLog(root, settings)
         log = None if flight.georeferenced else log_in(root)
         return flight if log is None else _with_log(flight, log, settings)
+    if parts := bag_files(root):
+        return _open_bag(root, parts, settings)
     beside = sorted(p.name for p in root.iterdir() if p.suffix.lower() in LOGS)
     if beside and _have_places(root):
         beside = []
@@ -101,6 +106,12 @@ def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | Non
     raise InputError(
         f"{path}: nothing usable in it{closed}; looked for mav0/ and for .jpg, .png or .tif files, give {LOOKED_FOR}"
     )
+
+
+def _open_bag(path: Path, parts: list[Path], settings: Settings) -> Source:
+    from alight.sources.bags.bag import BagFlight
+
+    return BagFlight(path, parts, settings)
 
 
 def log_in(folder: Path) -> Path | None:
