@@ -99,6 +99,9 @@ def test_a_calibration_by_kalibr_replaces_camera_info_and_tf(bag: Write, flight:
             yield m
 
     path = bag("mcap", without_calibration)
+    d.write_yaml(tmp_path / "bare.yaml", {k: {n: v for n, v in c.items() if "T_" not in n} for k, c in chain.items()})
+    with pytest.raises(InputError, match="tf does not connect 'cam1' of /cam1/image_raw"):
+        opened(path, f"sources.calibration={tmp_path / 'bare.yaml'}")
     with pytest.raises(InputError, match=r"tf does not connect 'cam0' of /cam0/image_raw with 'base_link'.*T_cam_imu"):
         opened(path)
     calibration = f"sources.calibration={tmp_path / 'camchain.yaml'}"
@@ -476,7 +479,7 @@ def test_the_command_line_prints_the_choice_and_takes_another(
     found = checked("--topics", str(tmp_path / "topics.yaml"))
     assert f"topics: left={RIGHT} (10 Hz, 0 ms old), right={LEFT}" in found
     assert "velocity=" not in found
-    assert "--topic left=/cam7: no such topic with messages that are read; the bag has /cam0/camera_info, " in checked(
-        "--topic", "left=/cam7"
-    )
-    assert "sources.topics.top" in checked("--topic", f"top={LEFT}")
+    for role, topic, known in (("left", "/cam7", f"{LEFT}, {RIGHT}"), ("attitude", "/imu", "/ins/imu")):
+        words = f"--topic {role}={topic}: no such topic in the bag; topics of the kind: {known}\n"
+        assert words in checked("--topic", f"{role}={topic}")
+    assert "--topic top=...: there is no such role; use left, right," in checked("--topic", f"top={LEFT}")

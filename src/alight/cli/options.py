@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields
@@ -63,6 +62,23 @@ Topic = Annotated[
 TopicFile = Annotated[Path | None, typer.Option("--topics", metavar="FILE", help="The same as YAML: role: topic.")]
 
 
+def named_topics(topics: Sequence[str] | None, file: Path | None) -> dict[str, str]:
+    """Return the topics by role from `ROLE=TOPIC` texts and from a YAML file; the texts win.
+
+    Raises:
+        InputError: the file cannot be read.
+        BadParameter: a text lacks its role.
+    """
+    from alight.sources.calibration import load_yaml
+
+    out = {str(role): str(topic or "") for role, topic in (load_yaml(file) if file else {}).items()}
+    for role, equals, topic in (text.partition("=") for text in topics or ()):
+        if not equals:
+            raise typer.BadParameter(f"--topic {role}: needs ROLE=TOPIC, such as left=/cam0/image_raw")
+        out[role] = topic
+    return out
+
+
 @dataclass(kw_only=True)
 class SettingsOptions:
     """Options of a command with settings."""
@@ -119,35 +135,6 @@ class RouteOptions(ResultOptions):
         Path | None,
         typer.Option(metavar="GRID", help="Geoid heights (EGM2008, GeoTIFF): of --home, and of photos above the sea."),
     ] = None
-
-
-def topic_keys(topics: Sequence[str] | None, file: Path | None) -> list[str]:
-    """Return `ROLE=TOPIC` assignments and those of a file as assignments of settings; those of the file come first."""
-    read = keys_of(file, "topics", "sources.topics", "roles such as 'left: /cam0/image_raw'") if file else []
-    return [*read, *(f"sources.topics.{topic}" for topic in topics or ())]
-
-
-def keys_of(file: Path, group: str, prefix: str, want: str) -> list[str]:
-    """Return the keys of a YAML file as assignments of settings; it may have them under `group:` or without it.
-
-    Args:
-        prefix: the settings' name of the group.
-        want: what the file needs, for the message.
-
-    Raises:
-        SettingsError: the file cannot be read or holds no keys.
-    """
-    from alight.documents import DocumentError, parse_yaml
-    from alight.records import SettingsError
-
-    try:
-        tree: Any = parse_yaml(yaml_text(file))
-    except DocumentError as e:
-        raise SettingsError(f"{file}: {e}") from e
-    tree = tree.get(group, tree) if isinstance(tree, dict) else tree
-    if not isinstance(tree, dict) or not tree:
-        raise SettingsError(f"{file}: needs {want}")
-    return [f"{prefix}.{key}={json.dumps(value, default=str)}" for key, value in tree.items()]
 
 
 def yaml_text(file: Path) -> str:

@@ -56,13 +56,15 @@ class RunOptions(options.RouteOptions):
 @options.command_of(RunOptions)
 def run(o: RunOptions) -> None:
     """Find a landing site in a recorded flight or a folder of photos."""
-    quality = [f"parallax.quality={o.quality}"] if o.quality else []
-    chosen = o.read_settings(after=[*quality, *options.topic_keys(o.topic, o.topics)])
+    chosen = o.read_settings(after=[f"parallax.quality={o.quality}"] if o.quality else ())
     from alight.runner import replay
     from alight.runs import known_home
 
     armed_at = known_home(o.home, o.geoid if o.home else None)
-    wishes = replay.Find(chosen, o.poses, o.force, o.resume, o.prior_dem, o.scheduler, armed_at, o.places, o.geoid)
+    topics = options.named_topics(o.topic, o.topics)
+    wishes = replay.Find(
+        chosen, o.poses, o.force, o.resume, o.prior_dem, o.scheduler, armed_at, o.places, o.geoid, topics
+    )
     with progress_bar() as report:
         result = replay.find(o.source, o.out, wishes, report)
     save_result(result, o.out, o.force)
@@ -90,13 +92,13 @@ def check(o: CheckOptions) -> None:
 
     With --verbose, the facts in the tags of each photo are logged.
     """
-    chosen = o.read_settings(after=options.topic_keys(o.topic, o.topics))
+    chosen = o.read_settings()
     from alight.checks.result import Judged
     from alight.records import PhotoRow
     from alight.runner.checking import check_opened
     from alight.runner.opening import open_source
 
-    recording = open_source(o.source, chosen, places=o.places)
+    recording = open_source(o.source, chosen, places=o.places, topics=options.named_topics(o.topic, o.topics))
     for line in () if o.as_json else recording.notes.get("log", ()):
         print_line(f"LOG  {line}")
     with progress_bar() as report:
@@ -161,9 +163,7 @@ def judge_raster(o: HazardsOptions) -> None:
     from alight.runner import judge
     from alight.sources.raster import read_ground
 
-    want = "keys of the lander such as 'radius: 1.5'; 'alight settings' lists them"
-    keys = options.keys_of(o.lander, "lander", "lander", want) if o.lander else ()
-    chosen = judge.for_surveyed_heights(o.read_settings(before=keys))
+    chosen = judge.for_surveyed_heights(o.read_settings(before=_lander(o.lander) if o.lander else ()))
     ground = read_ground(o.dem, o.sigma, o.image, chosen.hazards.usual_sigma)
     prepare_folder(o.out, o.force, ground.files)
     with progress_bar() as report:
@@ -187,6 +187,25 @@ def judge_raster(o: HazardsOptions) -> None:
             print_line(f"{name.upper()}  {result.notes[name]}")
     judged.save(o.out, o.force)
     print_line(f"report: {o.out / 'report.html'}")
+
+
+def _lander(file: Path) -> list[str]:
+    """Return the keys of a lander's file as assignments; the file may have them under `lander:` or without it.
+
+    Raises:
+        SettingsError: the file cannot be read or holds no keys.
+    """
+    from alight.documents import DocumentError, parse_yaml
+    from alight.records import SettingsError
+
+    try:
+        tree: Any = parse_yaml(options.yaml_text(file))
+    except DocumentError as e:
+        raise SettingsError(f"{file}: {e}") from e
+    tree = tree.get("lander", tree) if isinstance(tree, dict) else tree
+    if not isinstance(tree, dict) or not tree:
+        raise SettingsError(f"{file}: needs keys of the lander such as 'radius: 1.5'; 'alight settings' lists them")
+    return [f"lander.{key}={json.dumps(value, default=str)}" for key, value in tree.items()]
 
 
 @terrain.command("train")

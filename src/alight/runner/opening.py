@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,6 +33,7 @@ def open_source(
     *,
     places: str | Path | None = None,
     geoid: str | Path | None = None,
+    topics: Mapping[str, str] | None = None,
 ) -> Source:
     """Open the source of a path: a flight log, a recording, frames with a log, photos, or a video.
 
@@ -41,6 +42,8 @@ def open_source(
         settings: settings of the run; None: the defaults.
         places: for photos: file with their positions; `tags`: no file is used; None: a file found with the photos.
         geoid: for photos: grid of geoid heights, for altitudes above sea level.
+        topics: for a ROS bag: topics by role (left, right, position, attitude, velocity, imu), empty for none; those
+            of other roles are chosen.
 
     Raises:
         InputError: the input is of no known kind, or cannot be used; the message names what was looked for.
@@ -48,7 +51,7 @@ def open_source(
     path = Path(path)
     try:
         files = (None if file is None else Path(file).expanduser() for file in (places, geoid))
-        source = _open(path, settings or Settings(), *files)
+        source = _open_bag(path, settings or Settings(), topics or {}) or _open(path, settings or Settings(), *files)
     except OSError as e:
         raise InputError(f"{e.filename or path}: cannot be read ({e.strerror}); check the permissions") from e
     if places is not None and (source.kind != "photos" or path.is_file()):
@@ -56,11 +59,21 @@ def open_source(
     return source
 
 
+def _open_bag(path: Path, settings: Settings, topics: Mapping[str, str]) -> Source | None:
+    """Open a ROS bag; None: the path is none."""
+    parts = [] if (path / "mav0").is_dir() else bag_files(path)
+    if not parts and topics and path.exists():
+        raise InputError(f"{path}: --topic is for a ROS bag; run it without")
+    if not parts:
+        return None
+    from alight.sources.bags.bag import BagFlight
+
+    return BagFlight(path, parts, settings, topics)
+
+
 def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | None) -> Source:
     if not path.exists():
         raise InputError(f"{path}: no such folder; give {LOOKED_FOR}")
-    if path.is_file() and (parts := bag_files(path)):
-        return _open_bag(path, parts, settings)
     if path.is_file() and path.suffix.lower() == ".mcap":
         from alight.sources.recording import Recording
 
@@ -78,8 +91,6 @@ def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | Non
         flight = FlightLog(root, settings)
         log = None if flight.georeferenced else log_in(root)
         return flight if log is None else _with_log(flight, log, settings)
-    if parts := bag_files(root):
-        return _open_bag(root, parts, settings)
     beside = sorted(p.name for p in root.iterdir() if p.suffix.lower() in LOGS)
     if beside and _have_places(root):
         beside = []
@@ -106,12 +117,6 @@ def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | Non
     raise InputError(
         f"{path}: nothing usable in it{closed}; looked for mav0/ and for .jpg, .png or .tif files, give {LOOKED_FOR}"
     )
-
-
-def _open_bag(path: Path, parts: list[Path], settings: Settings) -> Source:
-    from alight.sources.bags.bag import BagFlight
-
-    return BagFlight(path, parts, settings)
 
 
 def log_in(folder: Path) -> Path | None:

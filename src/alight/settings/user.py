@@ -22,19 +22,6 @@ from alight.settings.base import (
 )
 
 
-class TopicKeys(FrozenModel):
-    """Topics of a ROS bag by role; null: chosen by type, frame and rate; empty: none."""
-
-    left: str | None = Field(
-        None, description="Topic of the pictures of the left or only camera of a bag; null: chosen"
-    )
-    right: str | None = Field(None, description="Topic of the right camera; null: chosen, empty: none")
-    position: str | None = Field(None, description="Topic of the position; null: chosen, empty: none")
-    attitude: str | None = Field(None, description="Topic of the attitude; null: chosen, empty: none")
-    velocity: str | None = Field(None, description="Topic of the velocity; null: chosen, empty: none")
-    imu: str | None = Field(None, description="Topic of the IMU; null: chosen, empty: none")
-
-
 class SourcesKeys(FrozenModel):
     """Settings for reading the recording."""
 
@@ -59,7 +46,6 @@ class SourcesKeys(FrozenModel):
         le=120.0,
         description="Ellipsoid above sea level, for the heights of an autopilot's log, m; null: the receiver's",
     )
-    topics: TopicKeys = TopicKeys()
 
 
 class FilterKeys(FrozenModel):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,12 @@ Waiting = dict[tuple[int, str], tuple[int, Any]]  # by camera and name: time of 
 
 
 class BagFlight(FlightLog):
-    """One flight in a bag of ROS 1 or ROS 2: `path`, as the user named it, and its files in order.
+    """One flight in a bag of ROS 1 or ROS 2.
+
+    Args:
+        path: name of the bag as the user gave it.
+        files: its files in order.
+        topics: topics by role, empty for none; those of other roles are chosen.
 
     Raises:
         InputError: the bag has no pictures or no calibration, or it is not clear which topics to use.
@@ -36,8 +41,8 @@ class BagFlight(FlightLog):
 
     no_place = "the bag has no GPS (NavSatFix): heights and places are relative, and nothing can be put on a map"
 
-    def __init__(self, path: Path, files: Sequence[Path], settings: Settings) -> None:
-        self._files, self._settings = files, settings
+    def __init__(self, path: Path, files: Sequence[Path], settings: Settings, topics: Mapping[str, str]) -> None:
+        self._files, self._settings, self._given = files, settings, topics
         super().__init__(path, settings)
         self.notes["log"] = [f"topics: {self._topics}"]
 
@@ -45,7 +50,7 @@ class BagFlight(FlightLog):
         """Read the whole bag; return the origin that it states, else its first position; None: no place on Earth."""
         self._streams, self._tree = read_streams(self._files, self.findings)
         try:
-            self._topics = choose_topics(self._streams, self._tree, self._settings.sources.topics, self._calibrated())
+            self._topics = choose_topics(self._streams, self._tree, self._given, self._calibrated())
         except InputError as e:
             raise InputError(f"{self._root}: {e}") from e
         self._compare_clocks()
@@ -106,22 +111,27 @@ class BagFlight(FlightLog):
 
     def _read_rig(self, settings: Settings) -> Rig:
         given = settings.sources.calibration
-        rig = Rig(tuple(self._camera(f"cam{k}", s, given is None) for k, s in enumerate(self._topics.cameras)))
         path = Path(given or "CameraInfo").expanduser()
         self.notes["focal_from"] = f"Kalibr {path.name}" if given else path.name
+        has_mounting = given is not None and "T_cam_imu" in dict(load_yaml(path).get("cam0") or {})
+        cameras = [self._camera(f"cam{k}", s, given is None, has_mounting) for k, s in enumerate(self._topics.cameras)]
+        rig = Rig(tuple(cameras))
         return read_camchain(path, rig, self._body_from_imu) if given else rig
 
-    def _camera(self, name: str, stream: TopicStream, is_needed: bool) -> RigCamera:
-        """Return a camera by CameraInfo and tf; if not `is_needed`, a stand-in for the lens, and for a missing tf."""
+    def _camera(self, name: str, stream: TopicStream, by_info: bool, has_mounting: bool) -> RigCamera:
+        """Return a camera by tf and, if `by_info`, by CameraInfo, else with a stand-in for its lens.
+
+        `has_mounting`: whether Kalibr's file gives the mounting, so that it may be missing in tf.
+        """
         mounting = self._tree.between(self._topics.body, stream.frame)
-        if not is_needed:
-            width, height = stream.size
-            return RigCamera(name, Camera(width, height, width, width, width / 2, height / 2), mounting or Pose())
-        if mounting is None:
+        if mounting is None and not has_mounting:
             raise InputError(
                 f"{self._root}: tf does not connect {stream.frame!r} of {stream.topic} with {self._topics.body!r}; "
                 f"{KALIBR} with T_cam_imu"
             )
+        mounting, (width, height) = mounting or Pose(), stream.size
+        if not by_info:
+            return RigCamera(name, Camera(width, height, width, width, width / 2, height / 2), mounting)
         info, rectified = self._info(stream), is_rectified(stream.topic)
         lens = lens_of(info.info, rectified, stream.size, f"{self._root}: {info.topic}: ", KALIBR)
         return RigCamera(name, lens, mounting @ rectified_from_camera(info.info).inverse if rectified else mounting)
@@ -158,13 +168,12 @@ class BagFlight(FlightLog):
         if stream is None:
             return LoggedStream(values=np.empty((0, 3 * len(parts) + ("attitude" in parts))))
         t_ns, at = self._ordered(stream, f"{stream.topic} messages")
-        known = np.isfinite(stream.part(parts[0])[at]).all(axis=1)
+        known = np.asarray(np.isfinite(stream.part(parts[0])[at]).all(axis=1))
         return LoggedStream("", t_ns, np.concatenate([stream.part(p)[at] for p in parts], axis=1)).where(known)
 
     def _table(self, stream: str) -> Table | None:
-        return self._imu_table() if stream == "imu0" else self._nav_table()
-
-    def _imu_table(self) -> Table | None:
+        if stream == "nav0":
+            return self._nav_table()
         if (imu := self._topics.imu) is None:
             return None
         t_ns, at = self._ordered(imu, "imu0 rows")

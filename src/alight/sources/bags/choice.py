@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from alight.records import InputError
-from alight.settings.user import TopicKeys
 from alight.sources.bags.frame_tree import FrameTree
 from alight.sources.bags.images import IMAGES
 from alight.sources.bags.streams import TopicStream
 
-ROLES = tuple(TopicKeys.model_fields)
+ROLES = ("left", "right", "position", "attitude", "velocity", "imu")
 NOT_MEASURED = re.compile(
     r"setpoint|target|goal|desired|command|cmd|/home|truth|(^|/|_)gt(/|_|$)|waypoint|trajectory|raw/gps_vel"
 )
@@ -30,6 +29,8 @@ ONE_CAMERA = re.compile(r"^image(_raw|_color|_mono|_rect|_rect_color|_rect_raw)?
 SIDE = re.compile(r"left|right|\d+|(?<=[/_])[lr](?=[/_]|$)")
 LOWEST = 0.5  # cosine of the largest angle of a downward camera from the vertical: 60 degrees
 PARALLEL = 0.94  # cosine of the largest angle between the two cameras of a pair: 20 degrees
+
+NEEDED = {"position": ("place", "local"), "attitude": ("attitude",), "velocity": ("velocity",), "imu": ("force",)}
 
 Rank = Callable[[TopicStream], tuple[Any, ...]]  # the highest is chosen
 
@@ -57,7 +58,7 @@ class Topics:
 
 
 def choose_topics(
-    streams: Mapping[str, TopicStream], frames: FrameTree, given: TopicKeys, calibrated: Sequence[str]
+    streams: Mapping[str, TopicStream], frames: FrameTree, given: Mapping[str, str], calibrated: Sequence[str]
 ) -> Topics:
     """Return the streams of all roles.
 
@@ -70,11 +71,13 @@ def choose_topics(
     Raises:
         InputError: several topics fit a role equally well, none has pictures, or a given topic is not in the bag.
     """
+    if unknown := sorted(given.keys() - set(ROLES)):
+        raise InputError(f"--topic {unknown[0]}=...: there is no such role; use {', '.join(ROLES)}")
     measured = [s for s in streams.values() if not NOT_MEASURED.search(s.topic)]
     above = sum(1 for _ in takewhile(lambda parts: len(set(parts)) == 1, zip(*map(_parts, streams), strict=False)))
 
     def chosen(role: str, fits: Callable[[TopicStream], bool], rank: Rank) -> TopicStream | None:
-        if (topic := getattr(given, role)) is not None:
+        if (topic := given.get(role)) is not None:
             return _named(streams, topic, role)
         return _best(role, filter(fits, measured), rank)
 
@@ -96,18 +99,21 @@ def choose_topics(
         "velocity", lambda s: s.has("velocity") and (s.frame in NORTHED if on_earth else near(s)),
         lambda s: (near(s), s is position, "Twist" in s.type, s.has("sigma_velocity"), bool(FUSED.search(s.topic))),
     )  # fmt: skip
-    body = (attitude and (attitude.child or ("" if attitude.has("local") else attitude.frame))) or frames.base
+    turned = "" if attitude is None else attitude.child or ("" if attitude.has("local") else attitude.frame)
+    body = turned or frames.base or ("base_link" if attitude else "")
+
+    def is_mounted(s: TopicStream) -> bool:
+        return not (body and s.frame) or s.frame == body or frames.between(body, s.frame) is not None
+
     imu = chosen(
         "imu", lambda s: s.has("force") and s.has("rates") and s.rate > 20,
-        lambda s: (s.frame in ("", body) or frames.between(body, s.frame) is not None, round(np.log2(s.rate)),
-                   "raw" in s.topic, near(s)),
+        lambda s: (is_mounted(s), round(np.log2(s.rate)), "raw" in s.topic, near(s)),
     )  # fmt: skip
-    left, right = (
-        None if k is None else _named(streams, k, r) for r, k in (("left", given.left), ("right", given.right))
-    )
-    if given.left is None:
+    body = body or (imu.frame if imu else "") or "base_link"
+    left, right = (_named(streams, given[role], role) if role in given else None for role in ROLES[:2])
+    if "left" not in given:
         left, second = _cameras(streams, frames, body, calibrated)
-        right = second if given.right is None else right
+        right = right if "right" in given else second
     if left is None:
         refused = sorted(f" ({s.topic}: {s.refused})" for s in streams.values() if s.refused)
         raise InputError(f"the bag has no pictures that can be read{' '.join(refused[:1])}; record 8 bits a colour")
@@ -119,9 +125,14 @@ def _parts(topic: str) -> list[str]:
 
 
 def _named(streams: Mapping[str, TopicStream], topic: str, role: str) -> TopicStream | None:
-    if topic and topic not in streams:
-        known = ", ".join(sorted(streams))[:400]
-        raise InputError(f"--topic {role}={topic}: no such topic with messages that are read; the bag has {known}")
+    """Return the stream of the topic that the user names; None: the name is empty."""
+
+    def fits(s: TopicStream) -> bool:
+        return any(map(s.has, NEEDED[role])) if role in NEEDED else s.type in IMAGES and not s.refused
+
+    if topic and not (topic in streams and fits(streams[topic])):
+        known = ", ".join(sorted(s.topic for s in streams.values() if fits(s)))[:400] or "none"
+        raise InputError(f"--topic {role}={topic}: no such topic in the bag; topics of the kind: {known}")
     return streams[topic] if topic else None
 
 

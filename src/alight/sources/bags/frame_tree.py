@@ -26,9 +26,9 @@ class FrameTree:
 
     @property
     def base(self) -> str:
-        """Name of the frame of the body, by REP 105."""
+        """Name of the frame of the body, by REP 105; empty: there is none."""
         known = {*self._above, *(parent for parent, _ in self._above.values())}
-        return min((name for name in known if name.endswith("base_link")), key=len, default="base_link")
+        return min((name for name in known if name.endswith("base_link")), key=len, default="")
 
     def between(self, dst: str, src: str) -> Pose | None:
         """Return the pose dst_from_src; None: the two are not connected.

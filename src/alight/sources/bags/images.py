@@ -56,7 +56,7 @@ def pixels_of(message: Any, size: tuple[int, int]) -> U8:
     return np.array(converted, np.uint8)
 
 
-def kind_of(message: Any) -> tuple[tuple[int, int], str]:
+def header_of_picture(message: Any) -> tuple[tuple[int, int], str]:
     """Return width and height of a picture, and why pictures of its kind cannot be read; empty if they can."""
     if hasattr(message, "encoding"):
         known = message.encoding in ENCODINGS

@@ -14,7 +14,7 @@ from alight.geometry import Pose, matrix_from_quaternion, quaternion_from_matrix
 from alight.geometry.rotations import ENU_FROM_NED, FRD_FROM_FLU
 from alight.sources.bags.files import RawMessage, decode, messages_of
 from alight.sources.bags.frame_tree import FrameTree
-from alight.sources.bags.images import IMAGES, is_calibrated, kind_of
+from alight.sources.bags.images import IMAGES, header_of_picture, is_calibrated
 from alight.sources.source import Findings
 
 Parts = dict[str, Sequence[float]]  # measurements of one message, by name
@@ -36,21 +36,17 @@ def _attitude(q: Any) -> Sequence[float]:
 
 
 def _fix(m: Any) -> Parts:
+    sigma = _sigmas(m.position_covariance) if m.position_covariance_type else NOT_MEASURED
     place = (m.latitude, m.longitude, m.altitude) if m.status.status >= 0 else NOT_MEASURED
-    return {
-        "place": place,
-        "sigma_place": _sigmas(m.position_covariance) if m.position_covariance_type else NOT_MEASURED,
-    }
+    return {"place": place, "sigma_place": sigma}
 
 
 def _imu(m: Any) -> Parts:
-    is_measured = [c[0] != -1 for c in (m.orientation_covariance, m.angular_velocity_covariance,
-                                        m.linear_acceleration_covariance)]  # fmt: skip
-    return {
-        "attitude": _attitude(m.orientation) if is_measured[0] else (np.nan,) * 4,
+    return {  # a covariance that begins with -1: not measured
+        "attitude": _attitude(m.orientation) if m.orientation_covariance[0] != -1 else (np.nan,) * 4,
         "sigma_attitude": _sigmas(m.orientation_covariance),
-        "rates": _vector(m.angular_velocity) if is_measured[1] else NOT_MEASURED,
-        "force": _vector(m.linear_acceleration) if is_measured[2] else NOT_MEASURED,
+        "rates": _vector(m.angular_velocity) if m.angular_velocity_covariance[0] != -1 else NOT_MEASURED,
+        "force": _vector(m.linear_acceleration) if m.linear_acceleration_covariance[0] != -1 else NOT_MEASURED,
     }
 
 
@@ -142,17 +138,18 @@ class TopicStream:
 
     def add(self, raw: RawMessage, message: Any) -> None:
         """Add a message; of an image, only its stamp is kept."""
-        if not 0 <= raw.t_ns < 2**62:
-            raise ValueError("its time of arrival is out of range")
+        stamp = stamp_of(message)
+        if not (0 <= raw.t_ns < 2**62 and 0 <= stamp < 2**62):
+            raise ValueError("its time is out of range")
         parts = PARTS[self.type](message) if self.type in PARTS else {}
         if self.type == INFO and self.info is None and is_calibrated(message):
             self.info = message
         if self.type in IMAGES and self.size == (0, 0):
-            self.size, self.refused = kind_of(message)
+            self.size, self.refused = header_of_picture(message)
         if not self._columns:
             at = np.cumsum([0, *map(len, parts.values())]).tolist()
             self._columns = {name: slice(a, b) for name, a, b in zip(parts, at, at[1:], strict=False)}
-        self._stamps.append(stamp_of(message))
+        self._stamps.append(stamp)
         self._arrivals.append(raw.t_ns)
         for values in parts.values():
             self._values.extend(values)
@@ -184,10 +181,9 @@ class TopicStream:
 
     def part(self, name: str) -> F64:
         """Return measurements by name, (N, D); NaN: not measured. A name that the type lacks gives (N, 3) NaN."""
-        width = len(self._values) // max(len(self._stamps), 1)
         if name not in self._columns:
             return np.full((len(self._stamps), 3), np.nan)
-        return np.array(self._values, np.float64).reshape(-1, width)[:, self._columns[name]]
+        return np.frombuffer(self._values).reshape(len(self._stamps), -1)[:, self._columns[name]]
 
     def has(self, name: str) -> bool:
         """Whether a measurement was made at least once."""
