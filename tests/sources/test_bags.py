@@ -161,6 +161,19 @@ def info(**new: Any) -> Callable[[Drawn], Iterator[Drawn]]:
     return change
 
 
+def test_rectified_pictures_have_the_lens_and_the_axes_of_the_projection(bag: Write, flight: Path) -> None:
+    turn = Pose.from_quaternion((np.cos(0.05), 0.0, np.sin(0.05), 0.0), np.zeros(3)).rotation
+
+    def rectify(m: Drawn) -> Iterator[Drawn]:
+        new = {"P": [40.0, 0, 30.0, 0, 0, 41.0, 20.0, 0, 0, 0, 1, 0], "R": turn.ravel()}
+        m = m._replace(topic="/cam0/image_rect") if m.topic == LEFT else m
+        yield m._replace(fields=m.fields | new) if m.topic == "/cam0/camera_info" else m
+
+    got, want = opened(bag(change=rectify)).rig.cameras[0], opened(flight).rig.cameras[0]
+    assert (got.camera.model, got.camera.fu, got.camera.cv) == ("none", 40.0, 20.0)
+    np.testing.assert_allclose(got.body_from_cam.rotation, want.body_from_cam.rotation @ turn.T, atol=1e-12)
+
+
 RATIONAL = [0.45, 0.03, 1e-4, -1e-4, 0.001, 0.52, 0.05, 0.003]  # k1 k2 p1 p2 k3 k4 k5 k6
 
 
