@@ -6,6 +6,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import rasterio
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "helpers"))
 
 from damage import dji_tags, write_campaign, write_flight, write_photo, xmp_packet
+from drawn_bags import messages_of_flight, write_bag
 from grammar import NUMBERS, Damage
 
 import alight_sim
@@ -66,6 +68,15 @@ def recording(folder: Path) -> None:
         shutil.copy(out / "recording.mcap", folder)
 
 
+def bag(form: str, folder: Path) -> None:
+    """Make a ROS bag over noise: of ROS 1, or a database or an MCAP file of ROS 2."""
+    folder.mkdir(parents=True)
+    with tempfile.TemporaryDirectory() as spare:
+        write_bag(folder / "bag", form, messages_of_flight(write_flight(Path(spare) / "log", 8)))
+    for metadata in folder.glob("bag/metadata.yaml"):  # it is not read
+        metadata.unlink()
+
+
 def evaluated(folder: Path) -> None:
     """Make a run and the truth of its flight, without the pictures of both."""
     flight(folder / "flight")
@@ -101,4 +112,5 @@ TAG_VALUES = (*(n for n in NUMBERS if "\u00e9" not in n), "50;1,2,3", "+91.00", 
 INPUTS: dict[str, Callable[[Path], None]] = {
     "noise": noise, "flight": flight, "dem": dem, "photos": photos, "recording": recording, "evaluated": evaluated,
     "checked": flight, "scene": scene, "model": model, "campaign": campaign,
+    "ros1": partial(bag, "ros1"), "sqlite3": partial(bag, "sqlite3"), "mcap": partial(bag, "mcap"),
 }  # fmt: skip

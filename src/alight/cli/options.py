@@ -55,6 +55,30 @@ Places = Annotated[
 ]
 
 
+Topic = Annotated[
+    list[str] | None,
+    typer.Option("--topic", metavar="ROLE=TOPIC", help="Topic of a ROS bag for left, right, position, attitude, ..."),
+]
+TopicFile = Annotated[Path | None, typer.Option("--topics", metavar="FILE", help="The same as YAML: role: topic.")]
+
+
+def named_topics(topics: Sequence[str] | None, file: Path | None) -> dict[str, str]:
+    """Return the topics by role from `ROLE=TOPIC` texts and from a YAML file; the texts win.
+
+    Raises:
+        InputError: the file cannot be read.
+        BadParameter: a text lacks its role.
+    """
+    from alight.sources.calibration import load_yaml
+
+    out = {str(role): str(topic or "") for role, topic in (load_yaml(file) if file else {}).items()}
+    for role, equals, topic in (text.partition("=") for text in topics or ()):
+        if not equals:
+            raise typer.BadParameter(f"--topic {role}: needs ROLE=TOPIC, such as left=/cam0/image_raw")
+        out[role] = topic
+    return out
+
+
 @dataclass(kw_only=True)
 class SettingsOptions:
     """Options of a command with settings."""

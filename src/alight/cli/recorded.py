@@ -31,7 +31,7 @@ class RunOptions(options.RouteOptions):
     """Options of `alight run`."""
 
     source: Annotated[
-        Path, typer.Argument(metavar="INPUT", help="A flight log, photos, frames with a log, or a video.")
+        Path, typer.Argument(metavar="INPUT", help="A flight log, a ROS bag, photos, frames with a log, or a video.")
     ]
     poses: Annotated[
         str | None, typer.Option(metavar="FILE|truth", help="Body poses (TUM, ENU) instead of the estimate.")
@@ -48,6 +48,8 @@ class RunOptions(options.RouteOptions):
         bool, typer.Option("--resume", help="Go on with an interrupted run of the same photos and settings in OUT.")
     ] = False
     scheduler: options.Scheduler = None
+    topic: options.Topic = None
+    topics: options.TopicFile = None
 
 
 @app.command()
@@ -59,7 +61,10 @@ def run(o: RunOptions) -> None:
     from alight.runs import known_home
 
     armed_at = known_home(o.home, o.geoid if o.home else None)
-    wishes = replay.Find(chosen, o.poses, o.force, o.resume, o.prior_dem, o.scheduler, armed_at, o.places, o.geoid)
+    topics = options.named_topics(o.topic, o.topics)
+    wishes = replay.Find(
+        chosen, o.poses, o.force, o.resume, o.prior_dem, o.scheduler, armed_at, o.places, o.geoid, topics
+    )
     with progress_bar() as report:
         result = replay.find(o.source, o.out, wishes, report)
     save_result(result, o.out, o.force)
@@ -70,9 +75,11 @@ class CheckOptions(options.SettingsOptions):
     """Options of `alight check`."""
 
     source: Annotated[
-        Path, typer.Argument(metavar="SOURCE", help="A flight log (mav0/), a recording (.mcap), or photos.")
+        Path, typer.Argument(metavar="SOURCE", help="A flight log (mav0/), a recording (.mcap), a ROS bag, or photos.")
     ]
     places: options.Places = None
+    topic: options.Topic = None
+    topics: options.TopicFile = None
     seconds: Annotated[float, typer.Option(min=1.0, help="How much of the recording is read.")] = 10.0
     start: Annotated[float, typer.Option(min=0.0, help="Seconds from the first exposure at which to begin.")] = 0.0
     as_json: Annotated[bool, typer.Option("--json", help="Print records instead of lines.")] = False
@@ -91,7 +98,7 @@ def check(o: CheckOptions) -> None:
     from alight.runner.checking import check_opened
     from alight.runner.opening import open_source
 
-    recording = open_source(o.source, chosen, places=o.places)
+    recording = open_source(o.source, chosen, places=o.places, topics=options.named_topics(o.topic, o.topics))
     for line in () if o.as_json else recording.notes.get("log", ()):
         print_line(f"LOG  {line}")
     with progress_bar() as report:

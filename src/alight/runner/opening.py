@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from alight.records import InputError
 from alight.settings import Settings
 from alight.sources import Source
+from alight.sources.bags.finding import bag_files
 from alight.sources.source import Findings
 
 if TYPE_CHECKING:
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
 VIDEOS = (".mp4", ".mov", ".m4v")
 LOGS = {".ulg": rb"ULog", ".bin": rb"\xa3\x95", ".tlog": rb".{8}[\xfd\xfe]"}  # first bytes of autopilots' logs
 LOOKED_FOR = (
-    "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos, frames "
-    "with an autopilot's log (.ulg, .bin, .tlog), or a video (.mp4) with a .srt or .gpx"
+    "a flight log (a folder with mav0/), a recording (.mcap), a ROS bag (.bag, .db3, .mcap), a folder of photos, "
+    "frames with an autopilot's log (.ulg, .bin, .tlog), or a video (.mp4) with a .srt or .gpx"
 )
 
 
@@ -32,6 +33,7 @@ def open_source(
     *,
     places: str | Path | None = None,
     geoid: str | Path | None = None,
+    topics: Mapping[str, str] | None = None,
 ) -> Source:
     """Open the source of a path: a flight log, a recording, frames with a log, photos, or a video.
 
@@ -40,6 +42,8 @@ def open_source(
         settings: settings of the run; None: the defaults.
         places: for photos: file with their positions; `tags`: no file is used; None: a file found with the photos.
         geoid: for photos: grid of geoid heights, for altitudes above sea level.
+        topics: for a ROS bag: topics by role (left, right, position, attitude, velocity, imu), empty for none; those
+            of other roles are chosen.
 
     Raises:
         InputError: the input is of no known kind, or cannot be used; the message names what was looked for.
@@ -47,12 +51,24 @@ def open_source(
     path = Path(path)
     try:
         files = (None if file is None else Path(file).expanduser() for file in (places, geoid))
-        source = _open(path, settings or Settings(), *files)
+        source = _open_bag(path, settings or Settings(), topics or {}) or _open(path, settings or Settings(), *files)
     except OSError as e:
         raise InputError(f"{e.filename or path}: cannot be read ({e.strerror}); check the permissions") from e
     if places is not None and (source.kind != "photos" or path.is_file()):
         raise InputError(f"--places {places}: is for a folder of photos; run it without")
     return source
+
+
+def _open_bag(path: Path, settings: Settings, topics: Mapping[str, str]) -> Source | None:
+    """Open a ROS bag; None: the path is none."""
+    parts = [] if (path / "mav0").is_dir() else bag_files(path)
+    if not parts and topics and path.exists():
+        raise InputError(f"{path}: --topic is for a ROS bag; run it without")
+    if not parts:
+        return None
+    from alight.sources.bags.bag import BagFlight
+
+    return BagFlight(path, parts, settings, topics)
 
 
 def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | None) -> Source:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from alight.elevation import TileStore
@@ -140,6 +141,7 @@ class Find:
     home: Home | None = None  # home of the vehicle that will fly the route
     places: Path | None = None  # file with the positions of photos
     geoid: Path | None = None  # grid of geoid heights, for altitudes of photos above sea level
+    topics: Mapping[str, str] = field(default_factory=dict)  # topics of a ROS bag by role
 
 
 def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported) -> RunResult:
@@ -151,7 +153,7 @@ def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported)
     Raises:
         AlightError: the input cannot be used, or the output cannot be written.
     """
-    source = open_source(path, how.settings, places=how.places, geoid=how.geoid)
+    source = open_source(path, how.settings, places=how.places, geoid=how.geoid, topics=how.topics)
     settings = settings_for(source, how.settings)
     if how.geoid is not None and how.home is None and source.kind != "photos":
         raise InputError(f"--geoid {how.geoid}: is for --home and for photos; give the home as well")

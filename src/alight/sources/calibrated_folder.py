@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from alight.arrays import U8
+from alight.arrays import F64, U8
 from alight.geometry import LocalFrame, Pose
 from alight.records import InputError, Rig
 from alight.settings import ImuNoise, Settings
@@ -36,12 +36,16 @@ class CalibratedFolder(Source):
         InputError: cam0 is missing, or the calibration is invalid.
     """
 
+    no_place = (
+        "nav0 is missing: there is no GPS/INS, so heights and places are relative and nothing can be put on a map"
+    )
+
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__()
         self._root = root / "mav0" if (root / "mav0").is_dir() else root
         self.name = self._root.parent.name if self._root.name == "mav0" else root.name
-        self.georeferenced = (self._root / "nav0").is_dir()
-        self.local = origin(self._root / "nav0/sensor.yaml") if self.georeferenced else LocalFrame(0.0, 0.0, 0.0)
+        stated = self._read_origin()
+        self.georeferenced, self.local = stated is not None, stated or LocalFrame(0.0, 0.0, 0.0)
         self._body_from_imu = self._read_imu_pose()
         self._levels: dict[str, Levels | None] = {}
         self.rig = self._read_rig(settings)
@@ -55,10 +59,7 @@ class CalibratedFolder(Source):
     @property
     def warnings(self) -> list[str]:
         """What could not be read, with reasons, one sentence each."""
-        no_nav = (
-            "nav0 is missing: there is no GPS/INS, so heights and places are relative and nothing can be put on a map"
-        )
-        return [*(() if self.georeferenced else [no_nav]), *self.findings.warnings]
+        return [*(() if self.georeferenced else [self.no_place]), *self.findings.warnings]
 
     def _note(self, nav: bool, imu: bool) -> None:
         lens = self.rig.cameras[0].camera
@@ -109,6 +110,10 @@ class CalibratedFolder(Source):
                 self.notes.setdefault("levels", {})[cam] = f"{found.low:g} to {found.high:g} become 0 to 255"
             return found
         return None
+
+    def _read_origin(self) -> LocalFrame | None:
+        """Return the origin of the world; None: the recording has no place on Earth."""
+        return origin(self._root / "nav0/sensor.yaml") if (self._root / "nav0").is_dir() else None
 
     def _read_imu_pose(self) -> Pose:
         path = self._root / "imu0" / "sensor.yaml"
@@ -168,17 +173,18 @@ class CalibratedFolder(Source):
 
         The stamps of `other` are first moved by `shift` seconds. 0 if a camera has too few stamps.
         """
-        tables = (self._root / self.rig.cameras[k].name / "data.csv" for k in (camera, other))
-        lines = (table.read_text("utf-8", "replace").splitlines() if table.is_file() else [] for table in tables)
-        own, others = (
-            np.sort([float(text) for line in some if (text := line.partition(",")[0].strip()).isdecimal()])
-            for some in lines
-        )
+        own, others = (self._stamps(self.rig.cameras[k].name) for k in (camera, other))
         if not len(own) or len(others) < 2:
             return 0.0
-        others += 1e9 * shift
+        others = others + 1e9 * shift
         after = np.searchsorted(others, own).clip(1, len(others) - 1)
         return float(np.median(np.minimum(np.abs(others[after] - own), np.abs(others[after - 1] - own))))
+
+    def _stamps(self, cam: str) -> F64:
+        """Return the stamps of a camera in order, (N,) ns."""
+        table = self._root / cam / "data.csv"
+        lines = table.read_text("utf-8", "replace").splitlines() if table.is_file() else []
+        return np.sort([float(text) for line in lines if (text := line.partition(",")[0].strip()).isdecimal()])
 
     def _read_rig(self, settings: Settings) -> Rig:
         numbered = (p for p in self._root.glob("cam*") if re.fullmatch("cam[0-9]+", p.name))

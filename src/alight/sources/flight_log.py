@@ -64,9 +64,21 @@ class FlightLog(CalibratedFolder):
         ]
         return heapq.merge(*streams, key=lambda event: event.t_ns)  # equal times in the order of this list
 
+    def _table(self, stream: str) -> Table | None:
+        """Return all rows of `nav0` or `imu0`, in order of time; None: the recording has none."""
+        return read_table(self._root, stream, self.findings)
+
+    def _where(self, stream: str, file: str = "data.csv") -> str:
+        """Return the start of an error message about a stream."""
+        return str(self._root / stream / file)
+
+    def _size_of(self, cam: str, name: str) -> tuple[int, int]:
+        """Return (width, height) of a stored image; raise one of `UNREADABLE` if it cannot be read."""
+        return image_size(self._image_path(cam, name))
+
     def _read_nav(self) -> Table | None:
         """Return the usable rows of `nav0`, or None; raise InputError if the world's origin is far from the rows."""
-        nav = usable_nav(read_table(self._root, "nav0", self.findings), self.findings)
+        nav = usable_nav(self._table("nav0"), self.findings)
         if nav is None:
             if self.georeferenced:
                 self.findings.warn("nav0 has no usable row: there is no GPS/INS, so the flight's place is not known")
@@ -77,7 +89,7 @@ class FlightLog(CalibratedFolder):
             east, north, up = np.abs(np.median(self.local.to_enu(*place.T), axis=0)) / 1e3
             if max(east, north) > 100.0 or up > 10.0:
                 raise InputError(
-                    f"{self._root / 'nav0' / 'sensor.yaml'}: origin is {np.hypot(east, north):,.0f} km away from the "
+                    f"{self._where('nav0', 'sensor.yaml')}: origin is {np.hypot(east, north):,.0f} km away from the "
                     f"rows of nav0/data.csv and {up:,.1f} km above or below; write a place of this flight"
                 )
         if low := int((known[:, 0] & known[:, 1] & ~known[:, 2]).sum()):
@@ -88,7 +100,7 @@ class FlightLog(CalibratedFolder):
         return nav
 
     def _read_imu(self) -> Table | None:
-        imu = usable_imu(read_table(self._root, "imu0", self.findings), self._body_from_imu, self.findings)
+        imu = usable_imu(self._table("imu0"), self._body_from_imu, self.findings)
         force = 9.8 if imu is None else float(np.median(np.linalg.norm(imu.values[:, 3:], axis=1)))
         if not 3.0 <= force <= 30.0:  # gravity and manoeuvres
             self.findings.warn(
@@ -103,7 +115,7 @@ class FlightLog(CalibratedFolder):
         if not streams[0]:
             why = self.findings.loss("cam0 images") or "it has no row"
             raise InputError(
-                f"{self._root / 'cam0'}: no image of data.csv is there ({why}); write lines of "
+                f"{self._where('cam0', '')}: no image of data.csv is there ({why}); write lines of "
                 "'timestamp [ns],filename', and put the images into cam0/data/"
             )
         for cam, stream in zip(self.rig.cameras, streams, strict=True):
@@ -111,7 +123,7 @@ class FlightLog(CalibratedFolder):
         stamps = [np.array([t for t, _ in s], dtype=np.int64) for s in streams]
         if len(stamps[0]) > 1 and (gap := float(np.median(np.diff(stamps[0])))) < 1e9 / 400.0:  # 400 exposures per s
             raise InputError(
-                f"{self._root / 'cam0' / 'data.csv'}: its images are {gap / 1e6:.2g} ms apart, as of no camera; write "
+                f"{self._where('cam0')}: its images are {gap / 1e6:.2g} ms apart, as of no camera; write "
                 "the times of all streams in nanoseconds"
             )
         for k in range(1, len(streams)):
@@ -156,12 +168,12 @@ class FlightLog(CalibratedFolder):
         """Raise InputError if the first readable image of `stream` (ns, name) does not have the calibrated `size`."""
         for _, name in stream:
             try:
-                real = image_size(self._image_path(cam, name))
+                real = self._size_of(cam, name)
             except UNREADABLE:
                 continue
             if real != size:
                 raise InputError(
-                    f"{self._root / cam / 'sensor.yaml'}: resolution is {size[0]}x{size[1]} but {name} is "
+                    f"{self._where(cam, 'sensor.yaml')}: resolution is {size[0]}x{size[1]} but {name} is "
                     f"{real[0]}x{real[1]}; write the calibration of these images"
                 )
             return

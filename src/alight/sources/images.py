@@ -20,23 +20,23 @@ HEIF = (".heic", ".heif", ".hif")
 UNREADABLE = (OSError, UnidentifiedImageError, SyntaxError, ValueError, Image.DecompressionBombError)
 
 
-def open_image(path: Path) -> Image.Image:
+def open_image(path: Path | BytesIO, formats: tuple[str, ...] | None = None) -> Image.Image:
     """Open an image without decoding it; pillow's warnings are silenced, its errors are raised.
 
-    Pipes and devices are refused, because they may block or have no end.
+    Pipes and devices are refused, because they may block or have no end. `formats`: pillow's names; None: all.
 
     Raises:
         One of `UNREADABLE`: the file cannot be opened as an image.
     """
-    if not path.is_file():
+    if isinstance(path, Path) and not path.is_file():
         raise OSError("it is no plain file, or a link to nothing")
-    if path.suffix.lower() in HEIF:
+    if isinstance(path, Path) and path.suffix.lower() in HEIF:
         from pillow_heif import register_heif_opener
 
         register_heif_opener()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return Image.open(path)
+        return Image.open(path, formats=formats)
 
 
 class Header(NamedTuple):
@@ -201,6 +201,30 @@ def _decoded(path: Path, size: tuple[int, int], levels: Levels | None) -> U8:
         if isinstance(image, TiffImageFile):
             return _pixels(_not_turned(path))
         pixels, jpeg = _pixels(image), image.format in ("JPEG", "MPO")
-    if jpeg and not has_end(path.read_bytes()):
+    if jpeg:
+        _check_end(path.read_bytes())
+    return pixels
+
+
+def _check_end(jpeg: bytes) -> None:
+    if not has_end(jpeg):
         raise ValueError("it is truncated: its end is missing")
+
+
+def decode_image(data: bytes, size: tuple[int, int]) -> U8:
+    """Decode a JPEG or PNG in memory as `read_image` does, (H, W) grey or (H, W, 3) RGB; `size`: width and height.
+
+    Raises:
+        ValueError: the image is truncated, damaged, or of another size.
+    """
+    try:
+        with open_image(BytesIO(data), ("JPEG", "PNG")) as image:
+            _check_size(image.size, size)
+            pixels, jpeg = _pixels(image), image.format == "JPEG"
+        if jpeg:
+            _check_end(data)
+    except UnidentifiedImageError as e:
+        raise ValueError("it is no JPEG or PNG") from e
+    except UNREADABLE as e:
+        raise ValueError(str(e)) from e
     return pixels

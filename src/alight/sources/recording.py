@@ -175,5 +175,5 @@ class Recording(Source):
             raise InputError(f"{self._path}: cannot be read ({e.strerror or e}); check the permissions") from e
         except Exception as e:  # damaged bytes can make the library raise any exception
             if not topics:
-                raise InputError(f"{self._path}: no recording (MCAP); give one that 'alight live' made") from e
+                raise InputError(f"{self._path}: no recording of Alight and no ROS bag (MCAP); copy it again") from e
             self.findings.warn("the recording ends early, as after a loss of power: what came before it is used")

@@ -93,7 +93,7 @@ def rising(times: list[int]) -> list[bool]:
     return keep
 
 
-def _in_order(rows: list[StreamRow], group: str, findings: Findings) -> list[StreamRow]:
+def ordered_rows(rows: list[StreamRow], group: str, findings: Findings) -> list[StreamRow]:
     """Return rows sorted by time; record as lost repeated times, and times further back than late delivery explains."""
     if all(a.t_ns < b.t_ns for a, b in pairwise(rows)):
         return rows
@@ -116,7 +116,7 @@ def _in_order(rows: list[StreamRow], group: str, findings: Findings) -> list[Str
 def read_names(path: Path, group: str, findings: Findings) -> list[tuple[int, str]]:
     """Read `timestamp, filename` rows as (ns, name), in order of time; record unusable rows as lost from `group`."""
     rows = [r for r in _read_rows(path, (2,), group, findings) if names_file(r, group, findings)]
-    return [(row.t_ns, row.fields[0]) for row in _in_order(rows, group, findings)]
+    return [(row.t_ns, row.fields[0]) for row in ordered_rows(rows, group, findings)]
 
 
 def names_file(row: StreamRow, group: str, findings: Findings) -> bool:
@@ -156,7 +156,7 @@ def table_of(rows: Iterable[StreamRow], stream: str, findings: Findings, in_orde
     group, width = f"{stream} rows", COLUMNS[stream][0] - 1
     read = {row.line: (row, v) for row in rows if (v := _numbers(row, group, findings)) is not None}
     good = [row for row, _ in read.values()]
-    good = _in_order(good, group, findings) if in_order else good
+    good = ordered_rows(good, group, findings) if in_order else good
     values = np.full((len(good), width), np.nan)
     for i, row in enumerate(good):
         values[i, : len(row.fields)] = read[row.line][1]

@@ -12,8 +12,9 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.flight.autopilot import border
-from alight.flight.logs.logged import AutopilotLog, LoggedStream, quaternions
+from alight.flight.logs.logged import AutopilotLog, quaternions
 from alight.records import FIX_3D, InputError, MissingExtraError
+from alight.sources.logged_stream import LoggedStream
 
 MAGIC = b"\xa3\x95"  # bytes before each message
 FIELDS = {  # fields to read, by message

@@ -2,54 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
-from alight.arrays import F64, I64, Mask
+from alight.arrays import F64
 from alight.flight.autopilot import border
 from alight.geometry import LocalFrame, Pose
 from alight.records import InputError
+from alight.sources.logged_stream import LoggedStream, attitude_at
 from alight.sources.source import Findings
-from alight.sources.streams import Table, rising, usable_imu, usable_nav
+from alight.sources.streams import Table, usable_imu, usable_nav
 
-GAP = 0.5  # s, longest interval between two rows that is interpolated
 RESET = 1.0  # s; a clock that goes back by more was restarted
-
-
-@dataclass(frozen=True, eq=False)
-class LoggedStream:
-    """One stream of a log, one row per time; NaN: not measured."""
-
-    name: str = ""  # name of its messages
-    t_ns: I64 = field(default_factory=lambda: np.empty(0, np.int64))  # (N,) autopilot's clock
-    values: F64 = field(default_factory=lambda: np.empty((0, 0)))  # (N, D)
-
-    @classmethod
-    def of(cls, name: str, t_ns: I64, *columns: F64) -> LoggedStream:
-        """Make the stream called `name` from times (N,), ns, and columns (N,) of values."""
-        return cls(name, np.asarray(t_ns, np.int64), np.stack([np.asarray(c, np.float64) for c in columns], axis=-1))
-
-    def where(self, keep: Mask) -> LoggedStream:
-        """Return the stream of the rows at which the mask `keep` (N,) is true."""
-        return LoggedStream(self.name, self.t_ns[keep], self.values[keep])
-
-    @property
-    def in_order(self) -> LoggedStream:
-        """The stream of the finite rows with rising times. A single wrong time does not remove the rows after it."""
-        rows = self.where(np.asarray(np.isfinite(self.values).all(axis=1)))
-        if (np.diff(rows.t_ns) > 0).all():
-            return rows
-        return rows.where(np.array(rising(rows.t_ns.tolist()), bool))
-
-    def at(self, t_ns: I64) -> F64:
-        """Return the values (M, D) interpolated at `t_ns` (M,); NaN where no row is near. Rows must be in order."""
-        if not len(self.t_ns):
-            return np.full((len(t_ns), self.values.shape[1]), np.nan)
-        near, seconds, own = _covered(self.t_ns, t_ns), _seconds(t_ns, self.t_ns[0]), _seconds(self.t_ns, self.t_ns[0])
-        found = np.stack([np.interp(seconds, own, column) for column in self.values.T], axis=-1)
-        return np.where(near[:, None], found, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +90,7 @@ def streams_of(log: AutopilotLog, path: str, separation: float | None, findings:
         rates = LoggedStream("", used.t_ns, used.values[:, :3]).at(t)
     sigma = accuracy.in_order.at(t)
     values = np.concatenate([
-        position.values[:, :2], position.values[:, 2:] + apart, _attitude_at(attitude, t),
+        position.values[:, :2], position.values[:, 2:] + apart, _enu_from_flu(attitude_at(attitude, t)),
         border.enu(*velocity.at(t).T).T, rates, sigma[:, [0, 0, 1]], np.full((len(t), 3), np.nan), sigma[:, [2, 2, 2]],
     ], axis=1)  # fmt: skip
     nav = usable_nav(Table(t, values, list(range(1, len(t) + 1))), findings)
@@ -147,29 +113,13 @@ def _imu_table(log: AutopilotLog) -> Table | None:
     return Table(both.t_ns, both.values, list(range(1, len(both.t_ns) + 1))) if len(both.t_ns) else None
 
 
-def _attitude_at(attitude: LoggedStream, t_ns: I64) -> F64:
-    """Return the quaternions w, x, y, z of enu_from_flu at times `t_ns`, (M, 4); NaN where no attitude is near."""
-    usable = attitude.where(np.abs(np.linalg.norm(attitude.values, axis=1) - 1.0) < 0.05)
-    out = np.full((len(t_ns), 4), np.nan)
-    if len(usable.t_ns) < 2:
-        return out
-    near, origin = _covered(usable.t_ns, t_ns), usable.t_ns[0]
-    turning = Slerp(_seconds(usable.t_ns, origin), Rotation.from_quat(np.roll(usable.values, -1, axis=1)))
-    ned_from_frd = turning(_seconds(t_ns[near], origin)).as_matrix() if near.any() else np.empty((0, 3, 3))
-    q = Rotation.from_matrix(border.world_from_body_of(ned_from_frd)).as_quat() if near.any() else np.empty((0, 4))
-    out[near] = np.roll(q, 1, axis=1)
+def _enu_from_flu(ned_from_frd: F64) -> F64:
+    """Convert quaternions w, x, y, z, (M, 4), from NED and FRD; NaN stays NaN."""
+    out, known = np.full(ned_from_frd.shape, np.nan), np.isfinite(ned_from_frd).all(axis=1)
+    if known.any():
+        turns = Rotation.from_quat(np.roll(ned_from_frd[known], -1, axis=1)).as_matrix()
+        out[known] = np.roll(Rotation.from_matrix(border.world_from_body_of(turns)).as_quat(), 1, axis=1)
     return out
-
-
-def _covered(own: I64, t_ns: I64) -> Mask:
-    """Return a mask (M,) of the `t_ns` that lie between two neighbours of `own`, (N,) ns, at most `GAP` s apart."""
-    after = np.searchsorted(own, t_ns).clip(1, len(own) - 1) if len(own) > 1 else np.zeros(len(t_ns), np.intp)
-    gap = own[after] - own[np.maximum(after - 1, 0)]
-    return np.asarray((t_ns >= own[0]) & (t_ns <= own[-1]) & (gap <= GAP * 1e9))
-
-
-def _seconds(t_ns: I64, origin: int) -> F64:
-    return np.asarray((t_ns - origin).astype(np.float64) * 1e-9)
 
 
 def _line(stream: LoggedStream) -> str:

@@ -12,8 +12,9 @@ from alight.flight.autopilot.framing import Framing, ReceivedMessage
 from alight.flight.autopilot.positions import place_of
 from alight.flight.autopilot.telemetry_events import IMU_UNITS
 from alight.flight.autopilot.vehicle_state import gps_quality
-from alight.flight.logs.logged import RESET, AutopilotLog, LoggedStream, quaternions
+from alight.flight.logs.logged import RESET, AutopilotLog, quaternions
 from alight.records import FIX_3D, InputError
+from alight.sources.logged_stream import LoggedStream
 
 USED = ("ATTITUDE", "GLOBAL_POSITION_INT", "GPS_RAW_INT", *IMU_UNITS)
 WRAP_NS = 2**32 * 1_000_000  # range of a stamp in milliseconds of 32 bits

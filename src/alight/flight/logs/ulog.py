@@ -10,8 +10,9 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.flight.autopilot import border
-from alight.flight.logs.logged import AutopilotLog, LoggedStream
+from alight.flight.logs.logged import AutopilotLog
 from alight.records import InputError, MissingExtraError
+from alight.sources.logged_stream import LoggedStream
 
 TOPICS = (
     "vehicle_attitude", "vehicle_global_position", "vehicle_local_position", "vehicle_gps_position", "sensor_gps",
