@@ -18,6 +18,7 @@ from alight.flight.live.health import POSE, STEP
 from alight.flight.live.lane_process import LaneLost
 from alight.flight.live.live import JUDGING, MAPPING, Live, LiveOptions
 from alight.flight.live.run import for_flight
+from alight.parallax.views import on_level
 from alight.pipeline import FlightPolicy
 from alight.records import Frame, NavSample, Rig, RigCamera
 from alight.records.executive import FlightState, Need
@@ -89,16 +90,13 @@ def _flight(rig: Rig, settings: Settings, rate: float) -> Iterator[tuple[NavSamp
 
 
 def _ground(camera: RigCamera, height: float) -> F64:
-    """Return where each pixel sees level ground, (H, W, 2) metres from the body; NaN: it sees none."""
+    """Return where each pixel sees level ground, (H, W, 2) metres from the body; see `on_level` for flat rays."""
     c, (R, offset) = camera.camera, (camera.body_from_cam.rotation, camera.body_from_cam.translation)
     pixels = np.stack(np.meshgrid(np.arange(c.width), np.arange(c.height)), axis=-1).reshape(-1, 2)
-    rays = np.asarray(c.rays(pixels)) @ R.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        reach = np.where(rays[:, 2] < 0.0, (height + offset[2]) / -rays[:, 2], np.nan)
-    return np.asarray((offset + rays * reach[:, None])[:, :2].reshape(c.height, c.width, 2))
+    return on_level(np.asarray(c.rays(pixels)) @ R.T, offset, -height).reshape(c.height, c.width, 2)
 
 
 def _picture(blotches: U8, at: F64, height: float) -> U8:
     cell = height / 200  # m, some pixels
-    index = np.nan_to_num(at / cell).astype(np.int64) % len(blotches)
+    index = (at / cell).astype(np.int64) % len(blotches)
     return np.ascontiguousarray(blotches[index[..., 1], index[..., 0]])
