@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from alight.arrays import F32, F64
 from alight.documents import parse_yaml, read_text
 from alight.records import Terrain
-from alight_sim.kernels import texture as t
+from alight_sim.kernels.texture import Pattern
 from alight_sim.looks import Look
 
 Colour = tuple[float, float, float]
@@ -86,7 +86,7 @@ def materials() -> dict[Look, Material]:
         values = kinds.get(given.get("like"), {}) | {k: v for k, v in given.items() if k != "like"}
         values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
         if "pattern" in values:
-            values["pattern"] = getattr(t, values["pattern"])
+            values["pattern"] = Pattern[values["pattern"]]
         if "bed" in values:
             values["bed"] = Look[values["bed"]]
         out[Look[name]] = Material(**values)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F32, F64, U8, Mask
-from alight_sim.kernels.stamps import EAST, LEVEL, NORTH, REACH
+from alight_sim.kernels.stamps import Column
 from alight_sim.relief import FractalRelief, noise
 from alight_sim.spans import TrueSpans
 from alight_sim.things.base import Box, Layer, Scattered, Sheet, blank_things, overlapping, terrain_named
@@ -170,7 +170,7 @@ class Lay:
         stays = np.ones(len(things), bool)
         level, allowed = self._feet(i, j)
         things = things.copy()
-        things[:, LEVEL] = level
+        things[:, Column.LEVEL] = level
         stays[named:] = allowed[named:] & self._has_room(things, i, j)[named:]
         stays[named:] &= self._in_clump(things[named:]) & self.scattered.kept(things[named:], self.seed)
         rng = np.random.default_rng([self.seed, i & 0xFFFFFFFF, j & 0xFFFFFFFF, 1])
@@ -180,16 +180,18 @@ class Lay:
         layer = self.scattered
         if layer.clump == 1.0 or not len(things):
             return np.ones(len(things), bool)
-        field = noise(things[:, EAST], things[:, NORTH], self.seed, layer.clump_size, 0.2 * layer.clump_size)
+        field = noise(
+            things[:, Column.EAST], things[:, Column.NORTH], self.seed, layer.clump_size, 0.2 * layer.clump_size
+        )
         return np.asarray(field > NormalDist().inv_cdf(1.0 - layer.clump))
 
     def ring(self, i: int, j: int) -> tuple[F64, F64]:
         """Return (N, 1 + RING) east, north of ground samples for things of block (i, j): the centre, then a ring."""
         things = self.candidates(i, j)[0]
         turn = 2.0 * math.pi * np.arange(RING) / RING
-        reach = things[:, REACH, None] * (1.0 if self.scattered.founded else 0.5)
-        x = things[:, EAST, None] + np.concatenate([0 * reach, reach * np.cos(turn)], axis=1)
-        return x, things[:, NORTH, None] + np.concatenate([0 * reach, reach * np.sin(turn)], axis=1)
+        reach = things[:, Column.REACH, None] * (1.0 if self.scattered.founded else 0.5)
+        x = things[:, Column.EAST, None] + np.concatenate([0 * reach, reach * np.cos(turn)], axis=1)
+        return x, things[:, Column.NORTH, None] + np.concatenate([0 * reach, reach * np.sin(turn)], axis=1)
 
     @property
     def shapes(self) -> bool:
@@ -215,15 +217,18 @@ class Lay:
         room = np.ones(len(things), bool)
         if not self.scattered.apart:
             return room
-        reach = float(things[:, REACH].max())
+        reach = float(things[:, Column.REACH].max())
         box = (i * BLOCK, j * BLOCK, (i + 1) * BLOCK, (j + 1) * BLOCK)
         for other in self.stack.lays[: self.index + (1 if self.scattered.founded else 0)]:
             if not (isinstance(other.layer, Scattered) and other.layer.apart):
                 continue
             around = [other.candidates(*b)[0] for b in _blocks(box, reach + other.layer.largest)]
             theirs = np.concatenate(around)
-            away = np.hypot(things[:, None, EAST] - theirs[:, EAST], things[:, None, NORTH] - theirs[:, NORTH])
-            close = away < things[:, None, REACH] + theirs[:, REACH]
+            away = np.hypot(
+                things[:, None, Column.EAST] - theirs[:, Column.EAST],
+                things[:, None, Column.NORTH] - theirs[:, Column.NORTH],
+            )
+            close = away < things[:, None, Column.REACH] + theirs[:, Column.REACH]
             if other is self:
                 close &= (away > 0.0) & (_first(theirs) > _first(things)[:, None])
             room &= ~close.any(axis=1)
@@ -232,7 +237,7 @@ class Lay:
 
 def _first(things: F64) -> F64:
     """Return the (N,) pseudo-random ranks of things; of two that overlap, the thing of higher rank stays."""
-    return np.asarray((things[:, EAST] * 977.131 + things[:, NORTH] * 331.717) % 1.0)
+    return np.asarray((things[:, Column.EAST] * 977.131 + things[:, Column.NORTH] * 331.717) % 1.0)
 
 
 def _blocks(box: Box, reach: float) -> list[tuple[int, int]]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from alight.arrays import F32, F64, Mask
 from alight.geometry import Camera
-from alight_sim.kernels.block import MARGIN, PARAM, SUN, B, X, Y
+from alight_sim.kernels.block import B, Slot
 from alight_sim.kernels.illuminate import AIR, HAZE, LIT, sunshine
 from alight_sim.kernels.raycast import cast_rays
 from alight_sim.light import Sun
@@ -148,13 +148,13 @@ class Lit:
 
         `margin`: (N,) metres, shadow margins there; see `GroundPatch.light`.
         """
-        buf, out = np.zeros(PARAM, np.float32), np.empty(len(places))
+        buf, out = np.zeros(Slot.PARAM, np.float32), np.empty(len(places))
         for first in range(0, len(places), B):
             block, base = places[first : first + B], np.floor(places[first])
-            buf[X : X + len(block)], buf[Y : Y + len(block)] = (block - base)[:, :2].T
-            buf[MARGIN : MARGIN + len(block)] = margin[first : first + B]
+            buf[Slot.X : Slot.X + len(block)], buf[Slot.Y : Slot.Y + len(block)] = (block - base)[:, :2].T
+            buf[Slot.MARGIN : Slot.MARGIN + len(block)] = margin[first : first + B]
             sunshine(buf, base, self.numbers, self.time, self.seed + 950)
-            out[first : first + B] = buf[SUN : SUN + len(block)]
+            out[first : first + B] = buf[Slot.SUN : Slot.SUN + len(block)]
         return out
 
 

@@ -12,7 +12,7 @@ from length import first
 
 from alight.records import InputError, Terrain
 from alight_sim.groups import GROUPS, group_of
-from alight_sim.kernels.stamps import EAST, EXTRA, HALF_U, HALF_V, NORTH
+from alight_sim.kernels.stamps import Column
 from alight_sim.looks import Look
 from alight_sim.scene import built_in, parse_scene, read_scene
 from alight_sim.scene_world import SceneWorld, build
@@ -126,10 +126,10 @@ def test_the_share_of_the_ground_under_stones_follows_the_law(form: str, k: floa
     world = flat(layer, size=76.0, seed=2, cover="bare")
     source: Any = world.source
     things = source.lays[0].things(world.extent)
-    things = things[(np.abs(things[:, [EAST, NORTH]]) < 38.0).all(axis=1)]
+    things = things[(np.abs(things[:, [Column.EAST, Column.NORTH]]) < 38.0).all(axis=1)]
     for diameter in (0.1, 0.2, 0.3, 0.5, 0.8):
-        many = things[things[:, EXTRA] >= diameter]
-        area = math.pi * many[:, HALF_U] * many[:, HALF_V]
+        many = things[things[:, Column.EXTRA] >= diameter]
+        area = math.pi * many[:, Column.HALF_U] * many[:, Column.HALF_V]
         law = share_above(diameter, k) - share_above(2.0, k)
         sampling = math.sqrt(float((area**2).sum()) + diameter**4) / 76.0**2
         assert area.sum() / 76.0**2 == pytest.approx(law, abs=3.5 * sampling), diameter
@@ -146,7 +146,7 @@ def test_stones_lie_denser_here_than_there_and_the_large_ones_are_thinned_more()
     source: Any = world.source
     lay = source.lays[0]
     things = lay.things(world.extent)
-    k = lay.layer.share_at(things[:, EAST], things[:, NORTH], lay.seed)
+    k = lay.layer.share_at(things[:, Column.EAST], things[:, Column.NORTH], lay.seed)
     rng = np.random.default_rng(0)
     ground = rng.uniform(-75, 75, (40_000, 2))
     everywhere = lay.layer.share_at(ground[:, 0], ground[:, 1], lay.seed)
@@ -154,8 +154,8 @@ def test_stones_lie_denser_here_than_there_and_the_large_ones_are_thinned_more()
         here, inside = (k >= low) & (k < high), (everywhere >= low) & (everywhere < high)
         metres = inside.mean() * 150.0**2
         law = np.mean([share_above(0.15, v) - share_above(2.0, v) for v in everywhere[inside][:4000]])
-        large = things[here & (things[:, EXTRA] >= 0.15)]
-        area = math.pi * large[:, HALF_U] * large[:, HALF_V]
+        large = things[here & (things[:, Column.EXTRA] >= 0.15)]
+        area = math.pi * large[:, Column.HALF_U] * large[:, Column.HALF_V]
         assert area.sum() / metres == pytest.approx(law, rel=0.25), (low, high)
 
 

@@ -11,7 +11,7 @@ from alight.records import InputError, Terrain
 from alight_sim import cameras, coarser
 from alight_sim.cameras import Eye, Shutter, rays_in_pixel
 from alight_sim.kernels import block, texture
-from alight_sim.kernels.block import DU, DV, PARAM, TX, TY, B, N, noise_at, values_at
+from alight_sim.kernels.block import B, Slot, noise_at, values_at
 from alight_sim.kernels.boxes import hit_box
 from alight_sim.kernels.ground import PLAIN, STEP, beside
 from alight_sim.kernels.noise import gradient_noise, noise32, seed32
@@ -82,13 +82,13 @@ def test_noise_in_32_bits_agrees_with_the_one_in_64():
 def test_noise_of_a_block_is_that_of_its_pixels_within_one_cell_and_over_many():
     rng = np.random.default_rng(3)
     for wavelength in (200.0, 0.3):
-        buf, base = np.zeros(PARAM, np.float32), np.array([12.0, -7.0, 0.0])
-        buf[TX : TX + B], buf[TY : TY + B] = rng.uniform(1, 6, (2, B)).astype(np.float32)
+        buf, base = np.zeros(Slot.PARAM, np.float32), np.array([12.0, -7.0, 0.0])
+        buf[Slot.TX : Slot.TX + B], buf[Slot.TY : Slot.TY + B] = rng.uniform(1, 6, (2, B)).astype(np.float32)
         noise_at(buf, base, wavelength, 0.8, 0.6, 5)
-        got = [buf[k : k + B].copy() for k in (N, DU, DV)]
+        got = [buf[k : k + B].copy() for k in (Slot.N, Slot.DU, Slot.DV)]
         values_at(buf, base, wavelength, 0.8, 0.6, 5)
-        assert np.array_equal(buf[N : N + B], got[0])
-        x, y = base[0] + buf[TX : TX + B].astype(float), base[1] + buf[TY : TY + B].astype(float)
+        assert np.array_equal(buf[Slot.N : Slot.N + B], got[0])
+        x, y = base[0] + buf[Slot.TX : Slot.TX + B].astype(float), base[1] + buf[Slot.TY : Slot.TY + B].astype(float)
         u, v = (0.8 * x - 0.6 * y) / wavelength, (0.6 * x + 0.8 * y) / wavelength
         assert (np.ptp(np.floor(u)) + np.ptp(np.floor(v)) == 0) == (wavelength > 100)
         for k in range(B):
@@ -144,10 +144,10 @@ def test_small_functions_agree_with_numpy():
 
 def scratch(x, y, look, foot=0.02):
     """Return the working memory of a block of pixels."""
-    buf = np.zeros(block.PARAM + texture.PARAMS * block.B, np.float32)
-    for slot, values in ((block.TX, x), (block.TY, y), (block.FOOT, foot)):
+    buf = np.zeros(block.Slot.PARAM + texture.PARAMS * block.B, np.float32)
+    for slot, values in ((block.Slot.TX, x), (block.Slot.TY, y), (block.Slot.FOOT, foot)):
         buf[slot : slot + block.B] = values
-    texture.load_looks(buf, tables()[0], np.full(block.B, look, np.int32), texture.P_BED)
+    texture.load_looks(buf, tables()[0], np.full(block.B, look, np.int32), texture.Trait.BED)
     return buf
 
 
@@ -166,7 +166,7 @@ def test_detail_agrees_with_numpy():
         wavelength *= 0.5
         c, s = 0.7986 * c - 0.6018 * s, 0.6018 * c + 0.7986 * s
     assert materials()[Look.SOIL].ridge == materials()[Look.SOIL].roughening == 0
-    assert np.abs(buf[block.VALUE : block.VALUE + block.B] - value).max() < 2e-3
+    assert np.abs(buf[block.Slot.VALUE : block.Slot.VALUE + block.B] - value).max() < 2e-3
 
 
 def slabs(box, origin, ray):

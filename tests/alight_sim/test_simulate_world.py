@@ -9,18 +9,9 @@ import rasterio
 
 from alight.geometry import Grid, LocalFrame
 from alight.records import InputError, Terrain
-from alight_sim.kernels.layers import (
-    BLOCK,
-    HILLS,
-    RIDGES,
-    add_fractal,
-    along_line,
-    box_mean,
-    sun_margin,
-    tile_block_tops,
-)
+from alight_sim.kernels.layers import BLOCK, Relief, add_fractal, along_line, box_mean, sun_margin, tile_block_tops
 from alight_sim.kernels.noise import gradient_noise
-from alight_sim.kernels.stamps import EAST, HALF_U, NORTH
+from alight_sim.kernels.stamps import Column
 from alight_sim.looks import Look
 from alight_sim.scene import Scene, built_in, parse_scene, read_scene, things
 from alight_sim.scene_world import build, world_of
@@ -129,7 +120,7 @@ def test_things_are_where_they_are_whatever_the_cell():
     layers = [{"thing": "rocks", "per_hectare": 200, "radius": [0.5, 1.0]}]
     found = [build(scene(layers, cell=c), 2).source.lays[0].things((-20, -20, 20, 20)) for c in (0.1, 0.2)]
     assert len(found[0]) > 10
-    inside = [f[(np.abs(f[:, [EAST, NORTH]]) < 18).all(axis=1)] for f in found]
+    inside = [f[(np.abs(f[:, [Column.EAST, Column.NORTH]]) < 18).all(axis=1)] for f in found]
     assert np.array_equal(inside[0], inside[1])
 
 
@@ -174,7 +165,7 @@ def test_relief_has_its_deviation_and_slope_falls_where_it_says():
 
 def test_rocks_keep_their_size_distribution():
     layers = [{"thing": "rocks", "per_hectare": 4000, "radius": [0.2, 5.0], "exponent": 2.5}]
-    radius = build(scene(layers), 1).source.lays[0].things((-100, -100, 100, 100))[:, HALF_U]
+    radius = build(scene(layers), 1).source.lays[0].things((-100, -100, 100, 100))[:, Column.HALF_U]
     assert len(radius) > 10_000
     found = 1.0 / np.log(radius[radius > 0.3] / 0.3).mean()  # the maximum-likelihood (Hill) exponent
     assert found == pytest.approx(2.5, abs=0.15)
@@ -331,7 +322,7 @@ def test_houses_and_cars_keep_clear_of_each_other():
     assert len(houses) > 20
     assert len(cars) > 30
     for a, b in ((houses, houses), (houses, cars), (cars, cars)):
-        away = np.hypot(a[:, None, EAST] - b[:, EAST], a[:, None, NORTH] - b[:, NORTH])
+        away = np.hypot(a[:, None, Column.EAST] - b[:, Column.EAST], a[:, None, Column.NORTH] - b[:, Column.NORTH])
         reach = a[:, None, 3] + b[:, 3]
         assert (away[away > 0] >= reach[away > 0] - 1e-9).all()
 
@@ -415,14 +406,14 @@ def test_fractal_agrees_with_noise_summed_one_by_one():
     rng = np.random.default_rng(3)
     x, y = rng.uniform(-900, 900, (2, 5, 4))
     lengths, gains = np.array([7.0, 3.5, 1.75]), np.array([1.0, 0.6, 0.3])
-    for form in (HILLS, RIDGES):
+    for form in (Relief.HILLS, Relief.RIDGES):
         out = np.ones_like(x)
         add_fractal(x, y, lengths, gains, form, 17, out)
         expected, c, s = np.ones_like(x), 1.0, 0.0
         for k in range(3):
             u, v = (c * x - s * y) / lengths[k], (s * x + c * y) / lengths[k]
             n = np.vectorize(lambda a, b, k=k: gradient_noise(a, b, 17 + 101 * k)[0])(u, v)
-            expected += gains[k] * (n if form == HILLS else 1.9 * (0.7 - np.abs(n)))
+            expected += gains[k] * (n if form == Relief.HILLS else 1.9 * (0.7 - np.abs(n)))
             c, s = 0.7986 * c - 0.6018 * s, 0.6018 * c + 0.7986 * s
         assert np.abs(out - expected).max() < 2e-3  # single precision, some hundred lattice steps apart in a row
 

@@ -12,36 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.compiled import kernel
-from alight_sim.kernels.block import (  # fmt: skip
-    BUMP_E,
-    BUMP_N,
-    F1,
-    F32,
-    F64,
-    FOOT,
-    I32,
-    SLOPE_E,
-    SLOPE_N,
-    TINT_R,
-    TX,
-    TY,
-    WATER,
-    B,
-    N,
-    X,
-    Y,
-    Z,
-    copy,
-    f32,
-    noise_at,
-    smallest,
-    smoothstep,
-)
+from alight.records import Terrain
+from alight_sim.kernels.block import F1, F32, F64, I32, B, Slot, copy, f32, noise_at, smallest, smoothstep
 
 U8 = NDArray[np.uint8]
 
-# codes of records.Terrain with sharp borders: colours keep to them
-TREE, ROCK, PAVED, STRUCTURE = 4, 6, 7, 8
 STEEP = 3.0  # slope of a side
 EDGE, FOOT_OF = 0.06, 0.25  # metres: four cells that differ by more are an edge; its side is ground up to FOOT_OF
 STEP, PLAIN = 1, 2  # bits of a cell: it and the next cells in x and y are an edge; all cells within WIDE are equal
@@ -58,7 +33,8 @@ def _class_near(label: U8, gx: float, gy: float) -> tuple[int, int]:
 
 @kernel
 def _hard(kind: int) -> bool:
-    return kind in (TREE, ROCK, STRUCTURE)
+    """Whether colours keep to the border of a class."""
+    return kind == Terrain.TREE or kind == Terrain.ROCK or kind == Terrain.STRUCTURE
 
 
 @kernel
@@ -89,14 +65,14 @@ def beside(height: F32, gx: float, gy: float, z: float) -> tuple[int, int, bool]
 @kernel
 def _near(buf: F32, i: int, label: U8, gx: float, gy: float) -> tuple[int, int]:
     """Return row and column of the cell that gives pixel `i` at a grid position its look; natural borders are bent."""
-    east, north = float(buf[SLOPE_E + i]), float(buf[SLOPE_N + i])
+    east, north = float(buf[Slot.SLOPE_E + i]), float(buf[Slot.SLOPE_N + i])
     steep = math.sqrt(east * east + north * north)
     if steep > STEEP:  # the side of a thing shows the thing, not the staircase of cells at its foot
         return _class_near(label, gx + east / steep, gy - north / steep)
     r, c = _class_near(label, gx, gy)
-    q, p = _class_near(label, gx + buf[TX + i], gy + buf[TY + i])
-    if label[r, c] == PAVED or label[q, p] == PAVED:  # paving has a sharp border
-        q, p = _class_near(label, gx + f32(0.25) * buf[TX + i], gy + f32(0.25) * buf[TY + i])
+    q, p = _class_near(label, gx + buf[Slot.TX + i], gy + buf[Slot.TY + i])
+    if label[r, c] == Terrain.PAVED or label[q, p] == Terrain.PAVED:  # paving has a sharp border
+        q, p = _class_near(label, gx + f32(0.25) * buf[Slot.TX + i], gy + f32(0.25) * buf[Slot.TY + i])
     hard = _hard(label[r, c]) or _hard(label[q, p])
     return (r, c) if hard else (q, p)
 
@@ -111,25 +87,28 @@ def look_up_layers(
     """
     per, plain, far = 1.0 / place[2], PLAIN, False
     for i in range(B):
-        far |= max(abs(buf[TX + i]), abs(buf[TY + i])) > f32(FAR)
+        far |= max(abs(buf[Slot.TX + i]), abs(buf[Slot.TY + i])) > f32(FAR)
     if far:
         plain = 0
     for i in range(B):
-        gx = (base[0] - place[0] + buf[X + i]) * per
-        gy = (place[1] - base[1] - buf[Y + i]) * per
+        gx = (base[0] - place[0] + buf[Slot.X + i]) * per
+        gy = (place[1] - base[1] - buf[Slot.Y + i]) * per
         _skin_at(buf, i, skin, gx, gy)
         r, c = min(max(int(gy), 0), label.shape[0] - 1), min(max(int(gx), 0), label.shape[1] - 1)
         about = cells[r, c, 1]
         if about & STEP:
-            r, c, upper = beside(height, gx, gy, base[2] + buf[Z + i])
+            r, c, upper = beside(height, gx, gy, base[2] + buf[Slot.Z + i])
             if not upper and not _hard(label[r, c]):  # ground at the foot of a thing is level, however cells slope
-                buf[SLOPE_E + i], buf[SLOPE_N + i] = f32(0.1) * buf[SLOPE_E + i], f32(0.1) * buf[SLOPE_N + i]
+                buf[Slot.SLOPE_E + i], buf[Slot.SLOPE_N + i] = (
+                    f32(0.1) * buf[Slot.SLOPE_E + i],
+                    f32(0.1) * buf[Slot.SLOPE_N + i],
+                )
             for k in range(3):
-                buf[TINT_R + k * B + i] = skin[r, c, 5 + k]
+                buf[Slot.TINT_R + k * B + i] = skin[r, c, 5 + k]
         elif not about & plain:
             r, c = _near(buf, i, label, gx, gy)
         look[i] = cells[r, c, 0]
-        buf[WATER + i] = wet[look[i]]
+        buf[Slot.WATER + i] = wet[look[i]]
 
 
 @kernel
@@ -142,23 +121,26 @@ def _skin_at(buf: F32, i: int, skin: F32, gx: float, gy: float) -> None:
     a, b, c, d = (F1 - u) * (F1 - v), u * (F1 - v), (F1 - u) * v, u * v
     for k in range(SKIN):
         upper = skin[iy, ix, k] * a + skin[iy, ix + 1, k] * b
-        slot = SLOPE_E + k * B if k < 5 else TINT_R + (k - 5) * B
+        slot = Slot.SLOPE_E + k * B if k < 5 else Slot.TINT_R + (k - 5) * B
         buf[slot + i] = upper + skin[iy + 1, ix, k] * c + skin[iy + 1, ix + 1, k] * d
 
 
 @kernel
 def wander_borders(buf: F32, base: F64) -> None:
     """Fill the slots TX, TY with the shifts of class borders in cells, made of noise of 0.4 and 0.1 m wavelength."""
-    copy(buf, X, TX)
-    copy(buf, Y, TY)
+    copy(buf, Slot.X, Slot.TX)
+    copy(buf, Slot.Y, Slot.TY)
     noise_at(buf, base, 0.4, 0.8, 0.6, 77)
     for i in range(B):
-        buf[BUMP_E + i], buf[BUMP_N + i] = f32(0.25) * buf[N + B + i], f32(0.25) * buf[N + 2 * B + i]
-    if smallest(buf, FOOT) < 0.08:
+        buf[Slot.BUMP_E + i], buf[Slot.BUMP_N + i] = (
+            f32(0.25) * buf[Slot.N + B + i],
+            f32(0.25) * buf[Slot.N + 2 * B + i],
+        )
+    if smallest(buf, Slot.FOOT) < 0.08:
         noise_at(buf, base, 0.1, 0.6, 0.8, 78)
         for i in range(B):
-            fine = f32(0.22) * smoothstep(f32(1.2), f32(2.4), f32(0.1) / buf[FOOT + i])
-            buf[BUMP_E + i] += fine * buf[N + B + i]
-            buf[BUMP_N + i] += fine * buf[N + 2 * B + i]
-    copy(buf, BUMP_E, TX)
-    copy(buf, BUMP_N, TY)
+            fine = f32(0.22) * smoothstep(f32(1.2), f32(2.4), f32(0.1) / buf[Slot.FOOT + i])
+            buf[Slot.BUMP_E + i] += fine * buf[Slot.N + B + i]
+            buf[Slot.BUMP_N + i] += fine * buf[Slot.N + 2 * B + i]
+    copy(buf, Slot.BUMP_E, Slot.TX)
+    copy(buf, Slot.BUMP_N, Slot.TY)

@@ -7,52 +7,8 @@ import math
 import numpy as np
 
 from alight.compiled import kernel
-from alight_sim.kernels.block import (  # fmt: skip
-    BLUE,
-    BUMP_E,
-    BUMP_N,
-    CLOUD,
-    DIST,
-    F0,
-    F1,
-    F32,
-    F64,
-    FACE,
-    GREEN,
-    LEAF,
-    MARGIN,
-    NX,
-    NY,
-    NZ,
-    PARAM,
-    RED,
-    SHADE,
-    SKY,
-    SLOPE_E,
-    SLOPE_N,
-    SUN,
-    TINT_B,
-    TINT_G,
-    TINT_R,
-    TX,
-    TY,
-    VX,
-    VY,
-    VZ,
-    WATER,
-    B,
-    N,
-    X,
-    Y,
-    Z,
-    copy,
-    f32,
-    fading,
-    fill,
-    smoothstep,
-    values_at,
-)
-from alight_sim.kernels.texture import P_BUMP, P_GLOSS, P_HOT
+from alight_sim.kernels.block import F0, F1, F32, F64, B, Slot, copy, f32, fading, fill, smoothstep, values_at
+from alight_sim.kernels.texture import Trait
 
 # values of the light, after the sun's direction (3), its colour (3) and the sky's (3)
 HAZE, AIR, CLOUDS, CLOUD_SIZE, CLOUD_DARK, WIND, DRIFT = 9, 10, 13, 14, 15, 16, 18
@@ -64,16 +20,16 @@ SHADED, LIT = -0.03, 0.05  # metres by which the sun's ray clears the ground: ha
 def face_normals(buf: F32, boxes: F64) -> None:
     """Set the normals of pixels on a car to the normal of the visible face."""
     for i in range(B):
-        code = int(buf[FACE + i])
+        code = int(buf[Slot.FACE + i])
         side = code & 7
         if code == 0:
             continue
         box = boxes[code >> 3]
-        buf[NX + i], buf[NY + i], buf[NZ + i] = F0, F0, F1
+        buf[Slot.NX + i], buf[Slot.NY + i], buf[Slot.NZ + i] = F0, F0, F1
         if side > 1:
             sign = 1.0 if side == 2 or side == 4 else -1.0
             e, n = (box[3], box[4]) if side < 4 else (-box[4], box[3])
-            buf[NX + i], buf[NY + i], buf[NZ + i] = f32(sign * e), f32(sign * n), F0
+            buf[Slot.NX + i], buf[Slot.NY + i], buf[Slot.NZ + i] = f32(sign * e), f32(sign * n), F0
 
 
 @kernel
@@ -84,10 +40,12 @@ def car_shadows(buf: F32, boxes: F64, base: F64, sun: F64) -> None:
         reach = math.hypot(box[5], box[6]) + (box[7] + 1.0) * math.hypot(sun[0], sun[1]) / max(sun[2], 0.05)
         se, sn = box[3] * sun[0] + box[4] * sun[1], box[3] * sun[1] - box[4] * sun[0]
         for i in range(B):
-            dx, dy = base[0] + buf[X + i] - box[0], base[1] + buf[Y + i] - box[1]
-            if dx * dx + dy * dy > reach * reach or (int(buf[FACE + i]) != 0 and int(buf[FACE + i]) >> 3 == m):
+            dx, dy = base[0] + buf[Slot.X + i] - box[0], base[1] + buf[Slot.Y + i] - box[1]
+            if dx * dx + dy * dy > reach * reach or (
+                int(buf[Slot.FACE + i]) != 0 and int(buf[Slot.FACE + i]) >> 3 == m
+            ):
                 continue
-            u, v, w = box[3] * dx + box[4] * dy, box[3] * dy - box[4] * dx, base[2] + buf[Z + i] - box[2]
+            u, v, w = box[3] * dx + box[4] * dy, box[3] * dy - box[4] * dx, base[2] + buf[Slot.Z + i] - box[2]
             near, far = 1e-3, 1e9
             for p, d, low, high in ((u, se, -box[5], box[5]), (v, sn, -box[6], box[6]), (w, sun[2], 0.0, box[7])):
                 if abs(d) < 1e-9:
@@ -96,38 +54,38 @@ def car_shadows(buf: F32, boxes: F64, base: F64, sun: F64) -> None:
                 a, b = (low - p) / d, (high - p) / d
                 near, far = max(near, min(a, b)), min(far, max(a, b))
             if near <= far:
-                buf[SUN + i] = F0
+                buf[Slot.SUN + i] = F0
 
 
 @kernel
 def sunshine(buf: F32, base: F64, lights: F64, time: float, seed: int) -> None:
     """Fill the slots SUN (share of the sunlight that reaches the ground) and CLOUD (share that clouds take)."""
     for i in range(B):
-        buf[SUN + i] = smoothstep(f32(SHADED), f32(LIT), buf[MARGIN + i]) * (F1 - buf[SHADE + i])
-    fill(buf, CLOUD, 0.0)
+        buf[Slot.SUN + i] = smoothstep(f32(SHADED), f32(LIT), buf[Slot.MARGIN + i]) * (F1 - buf[Slot.SHADE + i])
+    fill(buf, Slot.CLOUD, 0.0)
     if lights[CLOUD_DARK] <= 0.0:
         return
-    copy(buf, X, TX)
-    copy(buf, Y, TY)
+    copy(buf, Slot.X, Slot.TX)
+    copy(buf, Slot.Y, Slot.TY)
     size, de, dn = lights[CLOUD_SIZE], -lights[DRIFT] * time, -lights[DRIFT + 1] * time
     for k, w in enumerate((0.75, 0.5, 0.3)):
         values_at(buf, base, size * 0.45**k, 0.8, 0.6, seed + k, de, dn)
         for i in range(B):
-            buf[CLOUD + i] += f32(w) * buf[N + i]
+            buf[Slot.CLOUD + i] += f32(w) * buf[Slot.N + i]
     edge, dark = f32(lights[CLOUDS]), f32(lights[CLOUD_DARK])
     for i in range(B):
-        buf[CLOUD + i] = dark * smoothstep(edge - f32(0.25), edge + f32(0.25), buf[CLOUD + i])
-        buf[SUN + i] *= F1 - buf[CLOUD + i]
+        buf[Slot.CLOUD + i] = dark * smoothstep(edge - f32(0.25), edge + f32(0.25), buf[Slot.CLOUD + i])
+        buf[Slot.SUN + i] *= F1 - buf[Slot.CLOUD + i]
 
 
 @kernel
 def slope_normals(buf: F32) -> None:
     """Fill the slots NX, NY, NZ with surface normals from the slopes of the ground and of its micro-relief."""
     for i in range(B):
-        bump = buf[PARAM + P_BUMP * B + i]
-        e, n = buf[SLOPE_E + i] + bump * buf[BUMP_E + i], buf[SLOPE_N + i] + bump * buf[BUMP_N + i]
+        bump = buf[Slot.PARAM + Trait.BUMP * B + i]
+        e, n = buf[Slot.SLOPE_E + i] + bump * buf[Slot.BUMP_E + i], buf[Slot.SLOPE_N + i] + bump * buf[Slot.BUMP_N + i]
         scale = F1 / np.sqrt(F1 + e * e + n * n)
-        buf[NX + i], buf[NY + i], buf[NZ + i] = -e * scale, -n * scale, scale
+        buf[Slot.NX + i], buf[Slot.NY + i], buf[Slot.NZ + i] = -e * scale, -n * scale, scale
 
 
 @kernel
@@ -135,47 +93,47 @@ def illuminate(buf: F32, lights: F32) -> None:
     """Light dry pixels by sun and sky (Lambert), with back-scatter of rough ground and shine of smooth ground."""
     sx, sy, sz = lights[0], lights[1], lights[2]
     for i in range(B):
-        nx, ny, nz = buf[NX + i], buf[NY + i], buf[NZ + i]
-        cosine = max(F0, nx * sx + ny * sy + nz * sz) * buf[SUN + i]
-        vx, vy, vz = buf[VX + i], buf[VY + i], buf[VZ + i]
+        nx, ny, nz = buf[Slot.NX + i], buf[Slot.NY + i], buf[Slot.NZ + i]
+        cosine = max(F0, nx * sx + ny * sy + nz * sz) * buf[Slot.SUN + i]
+        vx, vy, vz = buf[Slot.VX + i], buf[Slot.VY + i], buf[Slot.VZ + i]
         phase = vx * sx + vy * sy + vz * sz
-        leaf = buf[LEAF + i]
-        sun = cosine * leaf * (F1 + buf[PARAM + P_HOT * B + i] * (phase * phase * phase - f32(0.35)))
-        sky = buf[SKY + i] * (f32(0.5) + f32(0.5) * nz) * (f32(0.2) + f32(0.8) * leaf)
+        leaf = buf[Slot.LEAF + i]
+        sun = cosine * leaf * (F1 + buf[Slot.PARAM + Trait.HOT * B + i] * (phase * phase * phase - f32(0.35)))
+        sky = buf[Slot.SKY + i] * (f32(0.5) + f32(0.5) * nz) * (f32(0.2) + f32(0.8) * leaf)
         hx, hy, hz = vx + sx, vy + sy, vz + sz
         half = (nx * hx + ny * hy + nz * hz) / np.sqrt(hx * hx + hy * hy + hz * hz + f32(1e-6))
         c2 = max(half * half, f32(0.05))
-        shine = buf[PARAM + P_GLOSS * B + i]
-        spark = shine * buf[SUN + i] * fading((F1 - c2) / c2 * f32(25.0)) * (f32(0.5) + f32(2.0) * (F1 - vz))
-        dry = F1 - buf[WATER + i]
-        wet = buf[WATER + i]
+        shine = buf[Slot.PARAM + Trait.GLOSS * B + i]
+        spark = shine * buf[Slot.SUN + i] * fading((F1 - c2) / c2 * f32(25.0)) * (f32(0.5) + f32(2.0) * (F1 - vz))
+        dry = F1 - buf[Slot.WATER + i]
+        wet = buf[Slot.WATER + i]
         mirror = shine * f32(0.12)
-        red = buf[RED + i] * (lights[3] * sun + lights[6] * sky) + lights[3] * spark + mirror * lights[6] * sky
-        green = buf[GREEN + i] * (lights[4] * sun + lights[7] * sky) + lights[4] * spark + mirror * lights[7] * sky
-        blue = buf[BLUE + i] * (lights[5] * sun + lights[8] * sky) + lights[5] * spark + mirror * lights[8] * sky
-        buf[RED + i] = dry * red + wet * buf[RED + i]
-        buf[GREEN + i] = dry * green + wet * buf[GREEN + i]
-        buf[BLUE + i] = dry * blue + wet * buf[BLUE + i]
+        red = buf[Slot.RED + i] * (lights[3] * sun + lights[6] * sky) + lights[3] * spark + mirror * lights[6] * sky
+        green = buf[Slot.GREEN + i] * (lights[4] * sun + lights[7] * sky) + lights[4] * spark + mirror * lights[7] * sky
+        blue = buf[Slot.BLUE + i] * (lights[5] * sun + lights[8] * sky) + lights[5] * spark + mirror * lights[8] * sky
+        buf[Slot.RED + i] = dry * red + wet * buf[Slot.RED + i]
+        buf[Slot.GREEN + i] = dry * green + wet * buf[Slot.GREEN + i]
+        buf[Slot.BLUE + i] = dry * blue + wet * buf[Slot.BLUE + i]
 
 
 @kernel
 def dye(buf: F32) -> None:
     """Multiply the reflectance by the tint."""
     for i in range(B):
-        buf[RED + i] *= buf[TINT_R + i]
-        buf[GREEN + i] *= buf[TINT_G + i]
-        buf[BLUE + i] *= buf[TINT_B + i]
+        buf[Slot.RED + i] *= buf[Slot.TINT_R + i]
+        buf[Slot.GREEN + i] *= buf[Slot.TINT_G + i]
+        buf[Slot.BLUE + i] *= buf[Slot.TINT_B + i]
 
 
 @kernel
 def haze(buf: F32, lights: F32) -> None:
     """Dim far points and add the light that the air scatters (Koschmieder, 1924); draw the sky if no ground is hit."""
     for i in range(B):
-        up = max(-buf[VZ + i], F0)
+        up = max(-buf[Slot.VZ + i], F0)
         low = (F1 - up) * (F1 - up)
-        seen = fading(min(lights[HAZE] * max(buf[DIST + i], F0), f32(9.0)))
-        hit = F1 if buf[DIST + i] > F0 else F0
-        for colour, k in ((RED, 0), (GREEN, 1), (BLUE, 2)):
+        seen = fading(min(lights[HAZE] * max(buf[Slot.DIST + i], F0), f32(9.0)))
+        hit = F1 if buf[Slot.DIST + i] > F0 else F0
+        for colour, k in ((Slot.RED, 0), (Slot.GREEN, 1), (Slot.BLUE, 2)):
             ground = buf[colour + i] * seen + lights[AIR + k] * (F1 - seen)
             sky = lights[6 + k] * (F1 + low)
             buf[colour + i] = hit * ground + (F1 - hit) * sky

@@ -12,36 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.compiled import kernel, parallel_kernel, prange
-from alight_sim.kernels.block import (  # fmt: skip
-    BLUE,
-    DIST,
-    F0,
-    F1,
-    F32,
-    F64,
-    FACE,
-    FOOT,
-    GREEN,
-    I32,
-    MARGIN,
-    PARAM,
-    RED,
-    SLOPE_E,
-    SLOPE_N,
-    TINT_R,
-    TX,
-    TY,
-    VX,
-    VY,
-    VZ,
-    WATER,
-    B,
-    X,
-    Y,
-    Z,
-    f32,
-    fill,
-)
+from alight_sim.kernels.block import F0, F1, F32, F64, I32, B, Slot, f32, fill
 from alight_sim.kernels.foliage import foliage, sway
 from alight_sim.kernels.ground import look_up_layers, wander_borders
 from alight_sim.kernels.illuminate import (
@@ -55,7 +26,7 @@ from alight_sim.kernels.illuminate import (
     sunshine,
 )
 from alight_sim.kernels.litter import small_things
-from alight_sim.kernels.texture import P_BED, P_DEEP, PARAMS, colours, laid, load_looks, patches, texture_detail
+from alight_sim.kernels.texture import TRAITS, Trait, colours, laid, load_looks, patches, texture_detail
 from alight_sim.kernels.water import dive, refract, scum, water_light, waves
 
 U8 = NDArray[np.uint8]
@@ -108,12 +79,12 @@ def _aim(
         x, y, z, t = ways[i], ways[B + i], ways[2 * B + i], ways[3 * B + i]
         length, ground = np.sqrt(x * x + y * y + z * z), t > 0.0
         there = t if ground else 0.0
-        buf[X + i] = f32(centre[0] + there * x - base[0]) if ground else F0  # sky: any position
-        buf[Y + i] = f32(centre[1] + there * y - base[1]) if ground else F0
-        buf[Z + i] = f32(centre[2] + there * z - base[2]) if ground else F0
-        buf[VX + i], buf[VY + i], buf[VZ + i] = f32(-x / length), f32(-y / length), f32(-z / length)
-        buf[DIST + i] = f32(t * length) if ground else f32(-1.0)
-        buf[FOOT + i] = f32(max(there * pixel, 1e-4))
+        buf[Slot.X + i] = f32(centre[0] + there * x - base[0]) if ground else F0  # sky: any position
+        buf[Slot.Y + i] = f32(centre[1] + there * y - base[1]) if ground else F0
+        buf[Slot.Z + i] = f32(centre[2] + there * z - base[2]) if ground else F0
+        buf[Slot.VX + i], buf[Slot.VY + i], buf[Slot.VZ + i] = f32(-x / length), f32(-y / length), f32(-z / length)
+        buf[Slot.DIST + i] = f32(t * length) if ground else f32(-1.0)
+        buf[Slot.FOOT + i] = f32(max(there * pixel, 1e-4))
     return seen
 
 
@@ -123,17 +94,19 @@ def _unfold(buf: F32, base: F64) -> None:
     x0, y0 = f32(base[0] - 512.0 * math.floor(base[0] / 512.0)), f32(base[1] - 512.0 * math.floor(base[1] / 512.0))
     z0 = f32(base[2])
     for i in range(B):
-        e, n = abs(buf[SLOPE_E + i]), abs(buf[SLOPE_N + i])
-        leafy = F1 if buf[PARAM + P_DEEP * B + i] > F0 else F0  # leaves have no face: askew through their volume
+        e, n = abs(buf[Slot.SLOPE_E + i]), abs(buf[Slot.SLOPE_N + i])
+        leafy = (
+            F1 if buf[Slot.PARAM + Trait.DEEP * B + i] > F0 else F0
+        )  # leaves have no face: askew through their volume
         wall = F1 - leafy if max(e, n) > f32(1.3) else F0
         east = wall if e > n else F0
         north = wall - east
-        x, y, z = buf[X + i], buf[Y + i], buf[Z + i] + z0  # true height: blocks must agree
+        x, y, z = buf[Slot.X + i], buf[Slot.Y + i], buf[Slot.Z + i] + z0  # true height: blocks must agree
         side_x, side_y = y + y0 - x0 + f32(300), z - y0 + f32(0.3) * (x + x0)  # of a wall that faces east or west
         front_x, front_y = x - f32(300), z - y0 + f32(0.3) * (y + y0)
-        buf[TX + i] = (F1 - wall) * (x + leafy * f32(0.8) * z) + east * side_x + north * front_x
-        buf[TY + i] = (F1 - wall) * (y - leafy * f32(0.5) * z) + east * side_y + north * front_y
-        buf[FOOT + i] *= F1 + wall
+        buf[Slot.TX + i] = (F1 - wall) * (x + leafy * f32(0.8) * z) + east * side_x + north * front_x
+        buf[Slot.TY + i] = (F1 - wall) * (y - leafy * f32(0.5) * z) + east * side_y + north * front_y
+        buf[Slot.FOOT + i] *= F1 + wall
 
 
 @kernel
@@ -142,27 +115,31 @@ def _board(buf: F32, faces: I16, r: int, first: int, boxes: F64, base: F64, look
     any_car, last = False, faces.shape[1] - 1
     for i in range(B):
         code = int(faces[r, min(first + i, last)])
-        buf[FACE + i] = f32(code)
+        buf[Slot.FACE + i] = f32(code)
         if code == 0:
             continue
         any_car = True
         box = boxes[code >> 3]
-        dx, dy, dz = base[0] + buf[X + i] - box[0], base[1] + buf[Y + i] - box[1], base[2] + buf[Z + i] - box[2]
+        dx, dy, dz = (
+            base[0] + buf[Slot.X + i] - box[0],
+            base[1] + buf[Slot.Y + i] - box[1],
+            base[2] + buf[Slot.Z + i] - box[2],
+        )
         u, v = box[3] * dx + box[4] * dy, box[3] * dy - box[4] * dx
         look[i] = GLASS if box[11] > 0.5 and (code & 7) != 1 else PAINT
-        buf[TX + i], buf[TY + i] = f32(u + 20.0 * (code >> 3) + v * 0.3), f32(v + dz)
-        buf[SLOPE_E + i], buf[SLOPE_N + i], buf[MARGIN + i], buf[WATER + i] = F0, F0, F1, F0
+        buf[Slot.TX + i], buf[Slot.TY + i] = f32(u + 20.0 * (code >> 3) + v * 0.3), f32(v + dz)
+        buf[Slot.SLOPE_E + i], buf[Slot.SLOPE_N + i], buf[Slot.MARGIN + i], buf[Slot.WATER + i] = F0, F0, F1, F0
         for k in range(3):
-            buf[TINT_R + k * B + i] = f32(box[8 + k])
+            buf[Slot.TINT_R + k * B + i] = f32(box[8 + k])
     return any_car
 
 
 @kernel
 def _put(buf: F32, weight: np.float32, r: int, first: int, out: F32) -> None:
     for i in range(min(B, out.shape[1] - first)):
-        out[r, first + i, 0] += weight * buf[RED + i]
-        out[r, first + i, 1] += weight * buf[GREEN + i]
-        out[r, first + i, 2] += weight * buf[BLUE + i]
+        out[r, first + i, 0] += weight * buf[Slot.RED + i]
+        out[r, first + i, 1] += weight * buf[Slot.GREEN + i]
+        out[r, first + i, 2] += weight * buf[Slot.BLUE + i]
 
 
 @kernel
@@ -189,7 +166,7 @@ def shade(
 
     `height` (R, C), empty if the layers are coarser; `label` (R, C); `cells` (R, C, 2): look, and bits about its
     neighbours (`ground.STEP`, `ground.PLAIN`); `skin` (R, C, 8): slope east, slope north, shadow margin, open sky,
-    water depth, tint. `place`: east and north of cell (0, 0), size of a cell. `looks` (L, PARAMS), `wet` (L,) 1 for
+    water depth, tint. `place`: east and north of cell (0, 0), size of a cell. `looks` (L, TRAITS), `wet` (L,) 1 for
     water:
     see `alight_sim.materials`. `centres` (N, 3), `turns` (N, 3, 3), `times` (N,) seconds, `boxes` (N, M, 12): of the
     whole picture (N = 1) or of each row; `directions` (H, W, 3) with z = 1; `depth` (H, W) from `cast_rays`; `faces`
@@ -200,13 +177,13 @@ def shade(
     for r in prange(out.shape[0]):
         row = np.int64(r)
         n = row if centres.shape[0] > 1 else np.int64(0)
-        buf, look, base = np.empty(PARAM + PARAMS * B, np.float32), np.empty(B, np.int32), np.zeros(3)
+        buf, look, base = np.empty(Slot.PARAM + TRAITS * B, np.float32), np.empty(B, np.int32), np.zeros(3)
         ways = np.empty(4 * B)
-        fill(buf, WATER, 0.0)
+        fill(buf, Slot.WATER, 0.0)
         loaded = -1
         for first in range(0, out.shape[1], B):
             if not _aim(buf, ways, directions, depth, row, first, centres[n], turns[n], pixel, level, base):
-                fill(buf, DIST, -1.0)
+                fill(buf, Slot.DIST, -1.0)
                 haze(buf, lights32)
                 _put(buf, f32(weight), row, first, out)
                 continue
@@ -216,7 +193,7 @@ def shade(
             under = dive(buf, looks, look)
             if under:
                 waves(buf, base, lights[WIND : WIND + 2], times[n], seed + 40)
-            loaded = load_looks(buf, looks, look, P_BED, loaded)
+            loaded = load_looks(buf, looks, look, Trait.BED, loaded)
             _texture(buf, base, lights, times[n], seed, under)
             dye(buf)
             sunshine(buf, base, lights, times[n], seed + 950)

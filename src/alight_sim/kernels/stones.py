@@ -6,13 +6,15 @@ Rows run in parallel, and each processes the stones in their order, so the resul
 from __future__ import annotations
 
 import math
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from alight.compiled import kernel, parallel_kernel, prange
+from alight.records import Terrain
 from alight_sim.kernels.noise import gradient_noise, hash3
-from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, NORTH, REACH, RED, TOP, TURN, _span
+from alight_sim.kernels.stamps import Column, _span
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -23,8 +25,12 @@ FACES = 6  # number of faces around an angular stone
 # distance of a face from the centre over the radius, [least, spread]: the area stays that of the ellipse
 FACE = (0.81, 0.29)
 STEEP = 3.0  # rise of an angular stone from its outline: its top is nearly level
-ROCK = 6  # code of records.Terrain
-FORM_ANGULAR, FORM_ROCK_FROM, FORM_HIDDEN, FORM_LOOK, FORM_TINT = range(5)
+
+
+class Form(IntEnum):
+    """Columns of the table of forms."""
+
+    ANGULAR, ROCK_FROM, HIDDEN, LOOK, TINT = range(5)
 
 
 @kernel
@@ -42,21 +48,21 @@ def _outline(u: float, v: float, bits: int) -> float:
 @kernel
 def _stone(thing: F64, dx: float, dy: float, x: float, y: float, angular: bool, seed: int) -> tuple[float, float]:
     """Return a stone's height above the ground at (dx, dy), negative outside, and distance from its centre, rim 1."""
-    cos, sin = math.cos(thing[TURN]), math.sin(thing[TURN])
-    u, v = (cos * dx + sin * dy) / thing[HALF_U], (cos * dy - sin * dx) / thing[HALF_V]
+    cos, sin = math.cos(thing[Column.TURN]), math.sin(thing[Column.TURN])
+    u, v = (cos * dx + sin * dy) / thing[Column.HALF_U], (cos * dy - sin * dx) / thing[Column.HALF_V]
     if math.hypot(u, v) > 1.4:
         return -1.0, 1.0
-    size = max(0.4 * thing[EXTRA], 0.08)
+    size = max(0.4 * thing[Column.EXTRA], 0.08)
     a, _, _ = gradient_noise(x / size, y / size, seed + 1)
     if angular:
-        r = _outline(u, v, int(thing[BLUE] * 1e9))
+        r = _outline(u, v, int(thing[Column.BLUE] * 1e9))
         shaped = min(1.0, STEEP * (1.0 - r)) * (1.0 - 0.25 * r) * (1.0 - 0.12 * u)
     else:
         r = math.hypot(u, v) * (1.0 + 0.05 * a)
         shaped = math.sqrt(max(1.0 - r * r, 0.0))
     if r >= 1.0:
         return -1.0, 1.0
-    return float(max(thing[TOP] * (0.08 + 0.92 * shaped) * (1.0 + 0.04 * a), 0.02)), float(r)
+    return float(max(thing[Column.TOP] * (0.08 + 0.92 * shaped) * (1.0 + 0.04 * a), 0.02)), float(r)
 
 
 @parallel_kernel
@@ -73,24 +79,26 @@ def stamp_stones(
     for r in prange(y.size):
         for k in range(things.shape[0]):
             t = things[k]
-            if abs(y[r] - t[NORTH]) > t[REACH]:
+            if abs(y[r] - t[Column.NORTH]) > t[Column.REACH]:
                 continue
-            c0, c1 = _span(t[EAST], t[REACH], x[0], cell, x.size)
+            c0, c1 = _span(t[Column.EAST], t[Column.REACH], x[0], cell, x.size)
             for c in range(c0, c1):
-                rise, away = _stone(t, x[c] - t[EAST], y[r] - t[NORTH], x[c], y[r], form[FORM_ANGULAR] > 0.5, seed)
+                rise, away = _stone(
+                    t, x[c] - t[Column.EAST], y[r] - t[Column.NORTH], x[c], y[r], form[Form.ANGULAR] > 0.5, seed
+                )
                 if rise <= 0.0 or ground[r, c] + rise <= height[r, c]:
                     continue
                 height[r, c], depth[r, c] = ground[r, c] + rise, 0.0
                 own = look[r, c] if look[r, c] > 0 else by_class[label[r, c]]
-                if t[EXTRA] >= form[FORM_ROCK_FROM]:
-                    label[r, c] = ROCK
+                if t[Column.EXTRA] >= form[Form.ROCK_FROM]:
+                    label[r, c] = Terrain.ROCK
                 look[r, c] = own
-                if form[FORM_HIDDEN] > 0.0:
+                if form[Form.HIDDEN] > 0.0:
                     n, _, _ = gradient_noise(x[c] / 0.13, y[r] / 0.13, seed + 3)
-                    if away + 0.25 * n > 1.0 - form[FORM_HIDDEN]:
+                    if away + 0.25 * n > 1.0 - form[Form.HIDDEN]:
                         continue
-                given = form[FORM_LOOK] > 0.0
+                given = form[Form.LOOK] > 0.0
                 if given:
-                    look[r, c] = int(form[FORM_LOOK])
+                    look[r, c] = int(form[Form.LOOK])
                 for m in range(3):
-                    tint[r, c, m] = (form[FORM_TINT + m] if given else under[r, c, m]) * t[RED]
+                    tint[r, c, m] = (form[Form.TINT + m] if given else under[r, c, m]) * t[Column.RED]

@@ -11,45 +11,14 @@ import math
 import numpy as np
 
 from alight.compiled import kernel
-from alight_sim.kernels.block import (  # fmt: skip
-    BLUE,
-    BODY_B,
-    BODY_G,
-    BODY_R,
-    CALM,
-    CLOUD,
-    DEPTH,
-    DU,
-    DULL_B,
-    DULL_G,
-    DULL_R,
-    DV,
+from alight_sim.kernels.block import (
     F0,
     F1,
     F32,
     F64,
-    FOOT,
-    GREEN,
     I32,
-    RED,
-    SCUM,
-    SKY,
-    SUN,
-    TX,
-    TY,
-    VX,
-    VY,
-    VZ,
-    WATER,
-    WAVE_E,
-    WAVE_N,
-    WAVE_VAR,
     B,
-    N,
-    U,
-    V,
-    X,
-    Y,
+    Slot,
     copy,
     f32,
     fading,
@@ -58,7 +27,7 @@ from alight_sim.kernels.block import (  # fmt: skip
     smoothstep,
     values_at,
 )
-from alight_sim.kernels.texture import P_BED, P_BLUE1, P_BLUE3, P_GREEN1, P_GREEN3, P_RED1, P_RED3, P_SCUM, P_WAVES
+from alight_sim.kernels.texture import Trait
 
 TRAINS = ((5.1, 0.020), (2.2, 0.030), (0.95, 0.036), (0.41, 0.040), (0.18, 0.045))  # wavelength, m; slope at 3 m/s
 
@@ -68,41 +37,49 @@ def dive(buf: F32, looks: F32, look: I32) -> bool:
     """Store the water's parameters and change the look of wet pixels to the bed's; return whether any pixel is wet."""
     wet = False
     for i in range(B):
-        wet |= buf[WATER + i] > 0.0
+        wet |= buf[Slot.WATER + i] > 0.0
     if not wet:
         return False
     for i in range(B):
         k = look[i]
-        buf[BODY_R + i], buf[BODY_G + i], buf[BODY_B + i] = looks[k, P_RED1], looks[k, P_GREEN1], looks[k, P_BLUE1]
-        buf[DULL_R + i], buf[DULL_G + i], buf[DULL_B + i] = looks[k, P_RED3], looks[k, P_GREEN3], looks[k, P_BLUE3]
-        buf[SCUM + i], buf[CALM + i] = looks[k, P_SCUM], looks[k, P_WAVES]
-        if buf[WATER + i] > 0.0:
-            look[i] = int(looks[k, P_BED])
+        buf[Slot.BODY_R + i], buf[Slot.BODY_G + i], buf[Slot.BODY_B + i] = (
+            looks[k, Trait.RED1],
+            looks[k, Trait.GREEN1],
+            looks[k, Trait.BLUE1],
+        )
+        buf[Slot.DULL_R + i], buf[Slot.DULL_G + i], buf[Slot.DULL_B + i] = (
+            looks[k, Trait.RED3],
+            looks[k, Trait.GREEN3],
+            looks[k, Trait.BLUE3],
+        )
+        buf[Slot.SCUM + i], buf[Slot.CALM + i] = looks[k, Trait.SCUM], looks[k, Trait.WAVES]
+        if buf[Slot.WATER + i] > 0.0:
+            look[i] = int(looks[k, Trait.BED])
     return True
 
 
 @kernel
 def _add_train(buf: F32, w: np.float32, wavelength: np.float32, c: np.float32, s: np.float32) -> None:
     for i in range(B):
-        slope = w * buf[CALM + i]
-        seen = smoothstep(f32(1.2), f32(2.4), wavelength / buf[FOOT + i])
-        buf[WAVE_E + i] += seen * slope * (c * buf[DU + i] - s * buf[DV + i])
-        buf[WAVE_N + i] += seen * slope * (s * buf[DU + i] + c * buf[DV + i])
-        buf[WAVE_VAR + i] += (F1 - seen) * slope * slope * f32(2.0)
+        slope = w * buf[Slot.CALM + i]
+        seen = smoothstep(f32(1.2), f32(2.4), wavelength / buf[Slot.FOOT + i])
+        buf[Slot.WAVE_E + i] += seen * slope * (c * buf[Slot.DU + i] - s * buf[Slot.DV + i])
+        buf[Slot.WAVE_N + i] += seen * slope * (s * buf[Slot.DU + i] + c * buf[Slot.DV + i])
+        buf[Slot.WAVE_VAR + i] += (F1 - seen) * slope * slope * f32(2.0)
 
 
 @kernel
 def waves(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
     """Fill the slots of the waves' slopes: five wavelengths L, each with two trains of speed sqrt(g L / 2 pi)."""
-    copy(buf, X, TX)
-    copy(buf, Y, TY)
-    fill(buf, WAVE_E, 0.0)
-    fill(buf, WAVE_N, 0.0)
-    fill(buf, WAVE_VAR, 0.0004)
+    copy(buf, Slot.X, Slot.TX)
+    copy(buf, Slot.Y, Slot.TY)
+    fill(buf, Slot.WAVE_E, 0.0)
+    fill(buf, Slot.WAVE_N, 0.0)
+    fill(buf, Slot.WAVE_VAR, 0.0004)
     speed = max(math.hypot(wind[0], wind[1]), 0.3)
     values_at(buf, base, 14.0, 0.6, 0.8, seed + 90, -wind[0] * time, -wind[1] * time)
     for i in range(B):  # gusts roughen the water in some areas and leave it smooth in others
-        buf[CALM + i] *= f32(0.25) + f32(0.75) * smoothstep(f32(-1.0), f32(1.0), buf[N + i])
+        buf[Slot.CALM + i] *= f32(0.25) + f32(0.75) * smoothstep(f32(-1.0), f32(1.0), buf[Slot.N + i])
     for k, (wavelength, slope) in enumerate(TRAINS):
         run = 1.25 * math.sqrt(wavelength) * time
         w = 0.65 * slope * (0.25 + 0.25 * speed)
@@ -117,10 +94,10 @@ def waves(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
 def refract(buf: F32) -> None:
     """Move the texture coordinates of wet pixels to the position where the refracted ray meets the bed."""
     for i in range(B):
-        deep = max(buf[DEPTH + i], F0) * buf[WATER + i]
-        down = max(buf[VZ + i], f32(0.2))
-        buf[TX + i] += deep * (f32(0.25) * buf[WAVE_E + i] - buf[VX + i] / down * f32(0.75))
-        buf[TY + i] += deep * (f32(0.25) * buf[WAVE_N + i] - buf[VY + i] / down * f32(0.75))
+        deep = max(buf[Slot.DEPTH + i], F0) * buf[Slot.WATER + i]
+        down = max(buf[Slot.VZ + i], f32(0.2))
+        buf[Slot.TX + i] += deep * (f32(0.25) * buf[Slot.WAVE_E + i] - buf[Slot.VX + i] / down * f32(0.75))
+        buf[Slot.TY + i] += deep * (f32(0.25) * buf[Slot.WAVE_N + i] - buf[Slot.VY + i] / down * f32(0.75))
 
 
 @kernel
@@ -128,30 +105,38 @@ def _through(buf: F32, sky: np.float32, sun: np.float32, towards: F32) -> None:
     """Replace the bed's reflectance in N by the radiance of water with colour V and attenuation U, and mirrored sky."""
     sx, sy, flat = towards[0], towards[1], towards[2]
     for i in range(B):
-        v = buf[VX + i] * buf[WAVE_E + i] + buf[VY + i] * buf[WAVE_N + i]
-        facing = buf[WAVE_E + i] * sx + buf[WAVE_N + i] * sy
-        up = max(buf[VZ + i] - v, f32(0.02))
+        v = buf[Slot.VX + i] * buf[Slot.WAVE_E + i] + buf[Slot.VY + i] * buf[Slot.WAVE_N + i]
+        facing = buf[Slot.WAVE_E + i] * sx + buf[Slot.WAVE_N + i] * sy
+        up = max(buf[Slot.VZ + i] - v, f32(0.02))
         mirror = f32(0.02) + f32(0.98) * (F1 - up) * (F1 - up) * (F1 - up) * (F1 - up) * (F1 - up)
         low = F1 - min(up, F1)
-        above = sky * buf[SKY + i] * (F1 + f32(2.5) * low * low - f32(8.0) * facing)
-        lit = sun * flat * (f32(0.25) + f32(0.75) * buf[SUN + i]) + sky * buf[SKY + i]
-        through = fading(max(buf[DEPTH + i], F0) * buf[U + i] * (F1 + F1 / max(buf[VZ + i], f32(0.3))) * f32(0.5))
-        body = buf[V + i] * max(F1 - f32(2.5) * facing, f32(0.3))
-        seen = (f32(0.7) * buf[N + i] * through + body * (F1 - through)) * lit
+        above = sky * buf[Slot.SKY + i] * (F1 + f32(2.5) * low * low - f32(8.0) * facing)
+        lit = sun * flat * (f32(0.25) + f32(0.75) * buf[Slot.SUN + i]) + sky * buf[Slot.SKY + i]
+        through = fading(
+            max(buf[Slot.DEPTH + i], F0) * buf[Slot.U + i] * (F1 + F1 / max(buf[Slot.VZ + i], f32(0.3))) * f32(0.5)
+        )
+        body = buf[Slot.V + i] * max(F1 - f32(2.5) * facing, f32(0.3))
+        seen = (f32(0.7) * buf[Slot.N + i] * through + body * (F1 - through)) * lit
         wet = seen * (F1 - mirror) + mirror * max(above, F0)
-        buf[N + i] = wet if buf[WATER + i] > F0 else buf[N + i]
+        buf[Slot.N + i] = wet if buf[Slot.WATER + i] > F0 else buf[Slot.N + i]
 
 
 @kernel
 def water_light(buf: F32, sun: F64) -> None:
     """Replace the reflectance of wet pixels by their radiance; `sun`: direction, colour, sky colour."""
     towards = sun[:3].astype(np.float32)
-    for k, (body, dull, colour) in enumerate(((BODY_R, DULL_R, RED), (BODY_G, DULL_G, GREEN), (BODY_B, DULL_B, BLUE))):
-        copy(buf, body, V)
-        copy(buf, dull, U)
-        copy(buf, colour, N)
+    for k, (body, dull, colour) in enumerate(
+        (
+            (Slot.BODY_R, Slot.DULL_R, Slot.RED),
+            (Slot.BODY_G, Slot.DULL_G, Slot.GREEN),
+            (Slot.BODY_B, Slot.DULL_B, Slot.BLUE),
+        )
+    ):
+        copy(buf, body, Slot.V)
+        copy(buf, dull, Slot.U)
+        copy(buf, colour, Slot.N)
         _through(buf, f32(sun[6 + k]), f32(sun[3 + k]), towards)
-        copy(buf, N, colour)
+        copy(buf, Slot.N, colour)
     _glints(buf, f32(sun[0]), f32(sun[1]), f32(sun[2]))
 
 
@@ -159,31 +144,31 @@ def water_light(buf: F32, sun: F64) -> None:
 def _glints(buf: F32, sx: np.float32, sy: np.float32, sz: np.float32) -> None:
     """Add the sun's glints on the waves (Cox and Munk, 1954); `sx`, `sy`, `sz`: unit vector to the sun."""
     for i in range(B):
-        hx, hy, hz = buf[VX + i] + sx, buf[VY + i] + sy, max(buf[VZ + i] + sz, f32(0.05))
-        ex, ey = hx / hz + buf[WAVE_E + i], hy / hz + buf[WAVE_N + i]
-        var = f32(2.0) * buf[WAVE_VAR + i]
+        hx, hy, hz = buf[Slot.VX + i] + sx, buf[Slot.VY + i] + sy, max(buf[Slot.VZ + i] + sz, f32(0.05))
+        ex, ey = hx / hz + buf[Slot.WAVE_E + i], hy / hz + buf[Slot.WAVE_N + i]
+        var = f32(2.0) * buf[Slot.WAVE_VAR + i]
         chance = fading((ex * ex + ey * ey) / var) / (f32(math.pi) * var)
-        glint = f32(0.0157) * chance / max(buf[VZ + i], f32(0.1)) * buf[SUN + i]
-        glint = min(glint, f32(30.0)) * buf[WATER + i]
-        buf[RED + i] += glint
-        buf[GREEN + i] += glint
-        buf[BLUE + i] += glint
+        glint = f32(0.0157) * chance / max(buf[Slot.VZ + i], f32(0.1)) * buf[Slot.SUN + i]
+        glint = min(glint, f32(30.0)) * buf[Slot.WATER + i]
+        buf[Slot.RED + i] += glint
+        buf[Slot.GREEN + i] += glint
+        buf[Slot.BLUE + i] += glint
 
 
 @kernel
 def scum(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
     """Cover part of the water with algae or foam that drifts slowly with the wind."""
-    copy(buf, X, TX)
-    copy(buf, Y, TY)
-    fill(buf, CLOUD, 0.0)
+    copy(buf, Slot.X, Slot.TX)
+    copy(buf, Slot.Y, Slot.TY)
+    fill(buf, Slot.CLOUD, 0.0)
     for k, wavelength in enumerate((4.0, 1.1, 0.3)):
         values_at(buf, base, wavelength, 0.8, 0.6, seed + k, -0.02 * wind[0] * time, -0.02 * wind[1] * time)
         for i in range(B):
-            buf[CLOUD + i] += (f32(0.8) - f32(0.15) * f32(k)) * buf[N + i]
+            buf[Slot.CLOUD + i] += (f32(0.8) - f32(0.15) * f32(k)) * buf[Slot.N + i]
     for i in range(B):
-        share = buf[SCUM + i] * buf[WATER + i]
-        there = smoothstep(F0, f32(0.25), buf[CLOUD + i] + share - f32(2.5)) if share > F0 else F0
-        light = (f32(0.35) + f32(0.6) * buf[SUN + i]) * (F1 + f32(0.2) * buf[N + i])
-        buf[RED + i] += there * (f32(0.20) * light - buf[RED + i])
-        buf[GREEN + i] += there * (f32(0.24) * light - buf[GREEN + i])
-        buf[BLUE + i] += there * (f32(0.09) * light - buf[BLUE + i])
+        share = buf[Slot.SCUM + i] * buf[Slot.WATER + i]
+        there = smoothstep(F0, f32(0.25), buf[Slot.CLOUD + i] + share - f32(2.5)) if share > F0 else F0
+        light = (f32(0.35) + f32(0.6) * buf[Slot.SUN + i]) * (F1 + f32(0.2) * buf[Slot.N + i])
+        buf[Slot.RED + i] += there * (f32(0.20) * light - buf[Slot.RED + i])
+        buf[Slot.GREEN + i] += there * (f32(0.24) * light - buf[Slot.GREEN + i])
+        buf[Slot.BLUE + i] += there * (f32(0.09) * light - buf[Slot.BLUE + i])

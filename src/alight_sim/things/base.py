@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
 
 from alight.arrays import F32, F64, U8, Mask
 from alight.records import Terrain
-from alight_sim.kernels.stamps import COLUMNS, EAST, NORTH, REACH
+from alight_sim.kernels.stamps import COLUMNS, Column
 from alight_sim.looks import Look
 from alight_sim.section import Coordinate, Section
 from alight_sim.spans import TrueSpans
@@ -199,14 +199,14 @@ class Scattered(Layer):
 def blank_things(places: F64) -> F64:
     """Return (N, COLUMNS) things at positions (N, 2), with all other columns 0."""
     things = np.zeros((len(places), COLUMNS))
-    things[:, [EAST, NORTH]] = places
+    things[:, [Column.EAST, Column.NORTH]] = places
     return things
 
 
 def overlapping(things: F64, box: Box) -> F64:
     """Return the things (N, COLUMNS) that reach into a box."""
     west, south, east, north = box
-    e, n, reach = things[:, EAST], things[:, NORTH], things[:, REACH]
+    e, n, reach = things[:, Column.EAST], things[:, Column.NORTH], things[:, Column.REACH]
     near = (e + reach >= west) & (e - reach <= east) & (n + reach >= south) & (n - reach <= north)
     return np.asarray(things[near])
 

@@ -11,7 +11,7 @@ from pydantic import Field
 from alight.arrays import F64, Mask
 from alight.records import Terrain
 from alight_sim.kernels import stamps
-from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, LEVEL, LOOK, NORTH, REACH, RED, TOP, TURN
+from alight_sim.kernels.stamps import Column
 from alight_sim.looks import Look
 from alight_sim.materials import palette
 from alight_sim.section import Side
@@ -70,8 +70,8 @@ class Boxes(Scattered):
     def paint(self, rng: Generator, things: F64, look: Look, usual: str) -> None:
         """Set the look of things (N, COLUMNS), and draw each tint from the user's, or else from the palette `usual`."""
         tints = np.array(self.tints) if self.tints else palette(usual)
-        things[:, RED : BLUE + 1] = tints[rng.integers(len(tints), size=len(things))]
-        things[:, LOOK] = look
+        things[:, Column.RED : Column.BLUE + 1] = tints[rng.integers(len(tints), size=len(things))]
+        things[:, Column.LOOK] = look
 
     def boxes(self, sheet: Sheet, lay: Lay, kind: int) -> None:
         """Stamp all boxes of the layer that reach the sheet; `kind`: shape (`kernels.stamps`)."""
@@ -101,14 +101,19 @@ class Houses(Boxes):
     def draw(self, rng: Generator, things: F64) -> None:
         """Draw the floor plan, the wall height and the tint of the roof of each house."""
         n = len(things)
-        things[:, HALF_U], things[:, HALF_V] = 0.5 * rng.uniform(*self.length, n), 0.5 * rng.uniform(*self.width, n)
-        things[:, TOP], things[:, TURN] = rng.uniform(*self.walls, n), self.turns(rng, n)
-        things[:, EXTRA] = 0.4 if self.roof == "flat" else math.tan(math.radians(self.pitch_deg))
-        things[:, REACH] = np.hypot(things[:, HALF_U], things[:, HALF_V])
+        things[:, Column.HALF_U], things[:, Column.HALF_V] = (
+            0.5 * rng.uniform(*self.length, n),
+            0.5 * rng.uniform(*self.width, n),
+        )
+        things[:, Column.TOP], things[:, Column.TURN] = rng.uniform(*self.walls, n), self.turns(rng, n)
+        things[:, Column.EXTRA] = 0.4 if self.roof == "flat" else math.tan(math.radians(self.pitch_deg))
+        things[:, Column.REACH] = np.hypot(things[:, Column.HALF_U], things[:, Column.HALF_V])
         self.paint(rng, things, Look.FLAT_ROOF if self.roof == "flat" else self.look, "roofs")
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        self.boxes(sheet, lay, {"gable": stamps.GABLE, "hip": stamps.HIP, "flat": stamps.FLAT}[self.roof])
+        self.boxes(
+            sheet, lay, {"gable": stamps.Roof.GABLE, "hip": stamps.Roof.HIP, "flat": stamps.Roof.FLAT}[self.roof]
+        )
 
 
 class Cars(Boxes):
@@ -132,13 +137,16 @@ class Cars(Boxes):
     def draw(self, rng: Generator, things: F64) -> None:
         """Draw the size, turn and paint of each car."""
         n = len(things)
-        things[:, HALF_U], things[:, HALF_V] = 0.5 * rng.uniform(*self.length, n), 0.5 * rng.uniform(*self.width, n)
-        things[:, TOP], things[:, TURN] = rng.uniform(*self.height, n), self.turns(rng, n)
-        things[:, REACH] = np.hypot(things[:, HALF_U], things[:, HALF_V])
+        things[:, Column.HALF_U], things[:, Column.HALF_V] = (
+            0.5 * rng.uniform(*self.length, n),
+            0.5 * rng.uniform(*self.width, n),
+        )
+        things[:, Column.TOP], things[:, Column.TURN] = rng.uniform(*self.height, n), self.turns(rng, n)
+        things[:, Column.REACH] = np.hypot(things[:, Column.HALF_U], things[:, Column.HALF_V])
         self.paint(rng, things, Look.PAINT, "cars")
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        self.boxes(sheet, lay, stamps.CAR)
+        self.boxes(sheet, lay, stamps.Roof.CAR)
 
 
 class Crates(Boxes):
@@ -164,14 +172,14 @@ class Crates(Boxes):
     def draw(self, rng: Generator, things: F64) -> None:
         """Draw both sides, the height and the turn of each crate."""
         n = len(things)
-        things[:, HALF_U] = 0.5 * rng.uniform(*self.size, n)
-        things[:, HALF_V] = 0.5 * rng.uniform(*(self.width or self.size), n)
-        things[:, TOP], things[:, TURN] = rng.uniform(*self.height, n), self.turns(rng, n)
-        things[:, REACH] = np.hypot(things[:, HALF_U], things[:, HALF_V])
+        things[:, Column.HALF_U] = 0.5 * rng.uniform(*self.size, n)
+        things[:, Column.HALF_V] = 0.5 * rng.uniform(*(self.width or self.size), n)
+        things[:, Column.TOP], things[:, Column.TURN] = rng.uniform(*self.height, n), self.turns(rng, n)
+        things[:, Column.REACH] = np.hypot(things[:, Column.HALF_U], things[:, Column.HALF_V])
         self.paint(rng, things, Look.PAINT, "litter")
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        self.boxes(sheet, lay, stamps.FLAT)
+        self.boxes(sheet, lay, stamps.Roof.FLAT)
 
 
 class Parking(Layer):
@@ -208,7 +216,7 @@ class Parking(Layer):
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         things = overlapping(lay.keep("cars", lambda: self._cars(lay)), sheet.box)
-        stamp(sheet, things, stamps.CAR)
+        stamp(sheet, things, stamps.Roof.CAR)
 
     def _grounds(self, lay: Lay) -> F64:
         """Return the (N, 3) east, north and height of the middle of each parking ground, metres."""
@@ -245,8 +253,8 @@ class Parking(Layer):
             )
             self.car.draw(rng, things)
             backwards = rng.integers(2, size=len(things)) * math.pi
-            things[:, TURN] = math.radians(self.turn_deg + 90.0) + backwards + rng.normal(0.0, 0.03, len(things))
-            things[:, LEVEL] = level
+            things[:, Column.TURN] = math.radians(self.turn_deg + 90.0) + backwards + rng.normal(0.0, 0.03, len(things))
+            things[:, Column.LEVEL] = level
             found.append(things)
         return self._off_pads(lay, np.concatenate(found))
 
@@ -255,6 +263,6 @@ class Parking(Layer):
         for other in lay.stack.lays[lay.index + 1 :]:
             if isinstance(other.layer, Scattered) and other.layer.apart:
                 for east, north in other.layer.at:
-                    away = np.hypot(cars[:, EAST] - east, cars[:, NORTH] - north)
-                    cars = cars[away > other.layer.largest + cars[:, HALF_U]]
+                    away = np.hypot(cars[:, Column.EAST] - east, cars[:, Column.NORTH] - north)
+                    cars = cars[away > other.layer.largest + cars[:, Column.HALF_U]]
         return cars

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from alight.arrays import F64
 from alight.records import Terrain
-from alight_sim.kernels.stamps import EAST, HALF_U, HALF_V, LEVEL, NORTH, REACH, TOP, TURN
+from alight_sim.kernels.stamps import Column
 from alight_sim.looks import Look
 from alight_sim.relief import FractalRelief, noise
 from alight_sim.section import Side
@@ -106,17 +106,17 @@ class Craters(Scattered):
     def draw(self, rng: Generator, things: F64) -> None:
         """Draw the radius of each crater by the power law, and its depth by age."""
         radius = power_law(rng, self.radius, self.exponent, len(things))
-        things[:, HALF_U], things[:, REACH] = radius, 2.0 * radius
-        things[:, TOP] = radius * rng.uniform(*self.depth, len(things))
+        things[:, Column.HALF_U], things[:, Column.REACH] = radius, 2.0 * radius
+        things[:, Column.TOP] = radius * rng.uniform(*self.depth, len(things))
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
         """Dig bowls, and heap a blanket around each that falls with distance cubed (McGetchin et al. 1973)."""
         for thing in lay.things(sheet.box):
-            index, dx, dy = sheet.near(thing[EAST], thing[NORTH], thing[REACH])
-            rho = np.hypot(dx, dy) / thing[HALF_U]
-            rho = rho * (1.0 + 0.04 * noise(sheet.x[index], sheet.y[index], lay.seed, 1.5 * thing[HALF_U], 0.4))
-            rim = 0.2 * thing[TOP]
-            bowl = rim - (thing[TOP] + rim) * (1.0 - rho * rho)
+            index, dx, dy = sheet.near(thing[Column.EAST], thing[Column.NORTH], thing[Column.REACH])
+            rho = np.hypot(dx, dy) / thing[Column.HALF_U]
+            rho = rho * (1.0 + 0.04 * noise(sheet.x[index], sheet.y[index], lay.seed, 1.5 * thing[Column.HALF_U], 0.4))
+            rim = 0.2 * thing[Column.TOP]
+            bowl = rim - (thing[Column.TOP] + rim) * (1.0 - rho * rho)
             blanket = rim * (np.maximum(rho, 1.0) ** -3 - 0.125) / 0.875
             sheet.ground[index] += np.where(rho < 1.0, bowl, np.maximum(blanket, 0.0))
 
@@ -143,22 +143,22 @@ class Ponds(Scattered):
 
     def draw(self, rng: Generator, things: F64) -> None:
         """Draw the radius and depth of each pond."""
-        things[:, HALF_U] = rng.uniform(*self.radius, len(things))
-        things[:, TOP] = rng.uniform(*self.depth, len(things))
-        things[:, REACH] = 2.2 * things[:, HALF_U]
+        things[:, Column.HALF_U] = rng.uniform(*self.radius, len(things))
+        things[:, Column.TOP] = rng.uniform(*self.depth, len(things))
+        things[:, Column.REACH] = 2.2 * things[:, Column.HALF_U]
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
         """Dig, fill with water, and blend the bank into the ground."""
         for thing in lay.things(sheet.box):
-            index, dx, dy = sheet.near(thing[EAST], thing[NORTH], thing[REACH])
-            radius = thing[HALF_U]
+            index, dx, dy = sheet.near(thing[Column.EAST], thing[Column.NORTH], thing[Column.REACH])
+            radius = thing[Column.HALF_U]
             shore = noise(sheet.x[index], sheet.y[index], lay.seed, 0.9 * radius, 0.3 * radius)
             r = np.hypot(dx, 1.25 * dy) * (1.0 + 0.12 * shore) / radius
-            level = thing[LEVEL] - self.below
+            level = thing[Column.LEVEL] - self.below
             wet = r < 1.0
             bank = level + ramp(1.0, 1.7, r) * (sheet.ground[index] - level)
             sheet.ground[index] = np.where(wet, level, bank)
-            sheet.depth[index] = np.where(wet, np.maximum(thing[TOP] * (1.0 - r * r), 0.02), sheet.depth[index])
+            sheet.depth[index] = np.where(wet, np.maximum(thing[Column.TOP] * (1.0 - r * r), 0.02), sheet.depth[index])
             sheet.paint(index, (r < 1.12) & ~wet, terrain_named(self.shore), self.shore_look)
             sheet.paint(index, wet, Terrain.WATER, self.look)
 
@@ -213,20 +213,20 @@ class Pads(Scattered):
 
     def draw(self, rng: Generator, things: F64) -> None:
         """Set size and turn; all pads are equal."""
-        things[:, HALF_U], things[:, HALF_V] = (self.radius or 0.5 * self.size[0]), 0.5 * self.size[1]
-        things[:, TURN], things[:, TOP] = math.radians(self.turn_deg), ROUND if self.radius else 0.0
-        things[:, REACH] = self.largest
+        things[:, Column.HALF_U], things[:, Column.HALF_V] = (self.radius or 0.5 * self.size[0]), 0.5 * self.size[1]
+        things[:, Column.TURN], things[:, Column.TOP] = math.radians(self.turn_deg), ROUND if self.radius else 0.0
+        things[:, Column.REACH] = self.largest
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
         """Level the ground, and paint it."""
         fall, towards = math.tan(math.radians(self.tilt_deg)), math.radians(self.tilt_towards_deg)
         for thing in lay.things(sheet.box):
-            index, dx, dy = sheet.near(thing[EAST], thing[NORTH], thing[REACH])
-            u, v = along_and_across(dx, dy, thing[TURN])
-            outside = np.maximum(np.abs(u) - thing[HALF_U], np.abs(v) - thing[HALF_V])
-            if thing[TOP] == ROUND:
-                outside = np.hypot(dx, dy) - thing[HALF_U]
-            plane = thing[LEVEL] - fall * (math.sin(towards) * dx + math.cos(towards) * dy)
+            index, dx, dy = sheet.near(thing[Column.EAST], thing[Column.NORTH], thing[Column.REACH])
+            u, v = along_and_across(dx, dy, thing[Column.TURN])
+            outside = np.maximum(np.abs(u) - thing[Column.HALF_U], np.abs(v) - thing[Column.HALF_V])
+            if thing[Column.TOP] == ROUND:
+                outside = np.hypot(dx, dy) - thing[Column.HALF_U]
+            plane = thing[Column.LEVEL] - fall * (math.sin(towards) * dx + math.cos(towards) * dy)
             blend = self.keep + (1.0 - self.keep) * ramp(0.0, max(self.bank, 1e-9), outside)
             inside = outside <= 0.0
             ground = plane + blend * (sheet.ground[index] - plane)

@@ -11,7 +11,7 @@ from pydantic import Field
 from alight.arrays import F64
 from alight.records import Terrain
 from alight_sim.kernels import stamps
-from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, LEVEL, NORTH, REACH, RED, TOP, TURN
+from alight_sim.kernels.stamps import Column
 from alight_sim.looks import Look
 from alight_sim.relief import noise
 from alight_sim.things.base import Between, CoverName, Sheet, along_and_across
@@ -53,38 +53,42 @@ class Bars(Boxes):
         """Draw the length, thickness and number of bars, the turn and the tint of each bundle."""
         n = len(things)
         length, thick = rng.uniform(*self.length, n), rng.uniform(*self.thickness, n)
-        things[:, HALF_U] = 0.5 * (thick if self.upright else length)
-        things[:, HALF_V], things[:, TOP] = 0.5 * thick, length if self.upright else thick
-        things[:, EXTRA], things[:, TURN] = np.rint(rng.uniform(*self.count, n)), self.turns(rng, n)
-        things[:, REACH] = np.hypot(things[:, HALF_U], 0.5 * things[:, EXTRA] * (self.gap or thick))
+        things[:, Column.HALF_U] = 0.5 * (thick if self.upright else length)
+        things[:, Column.HALF_V], things[:, Column.TOP] = 0.5 * thick, length if self.upright else thick
+        things[:, Column.EXTRA], things[:, Column.TURN] = np.rint(rng.uniform(*self.count, n)), self.turns(rng, n)
+        things[:, Column.REACH] = np.hypot(
+            things[:, Column.HALF_U], 0.5 * things[:, Column.EXTRA] * (self.gap or thick)
+        )
         self.paint(rng, things, Look.PAINT, "steel")
 
     def parts(self, rng: Generator, things: F64) -> F64:
         """Return the bars (M, COLUMNS) of all bundles."""
         found = [np.empty((0, things.shape[1]))]
         for row in range(self.rows):
-            count = np.maximum(things[:, EXTRA] - row, 0.0).astype(np.int64)
+            count = np.maximum(things[:, Column.EXTRA] - row, 0.0).astype(np.int64)
             out = np.repeat(things, count, axis=0)
             number = np.arange(len(out)) - np.repeat(np.cumsum(count) - count, count)
-            thick, n = 2.0 * out[:, HALF_V], len(out)
+            thick, n = 2.0 * out[:, Column.HALF_V], len(out)
             aside = (number - 0.5 * np.repeat(count - 1, count)) * (self.gap or thick)
             aside += 0.1 * thick * rng.normal(size=n)
-            along = 0.04 * out[:, HALF_U] * rng.normal(size=n)
-            dx, dy = np.cos(out[:, TURN]), np.sin(out[:, TURN])
-            out[:, EAST] += along * dx - aside * dy
-            out[:, NORTH] += along * dy + aside * dx
-            out[:, LEVEL] += 0.87 * row * thick
-            out[:, TURN] += 0.3 * thick / np.maximum(out[:, HALF_U], 0.5) * rng.normal(size=n)
-            out[:, EXTRA], out[:, REACH] = 0.0, np.hypot(out[:, HALF_U], out[:, HALF_V])
-            out[:, RED : BLUE + 1] *= np.exp(0.15 * rng.normal(size=n))[:, None]
+            along = 0.04 * out[:, Column.HALF_U] * rng.normal(size=n)
+            dx, dy = np.cos(out[:, Column.TURN]), np.sin(out[:, Column.TURN])
+            out[:, Column.EAST] += along * dx - aside * dy
+            out[:, Column.NORTH] += along * dy + aside * dx
+            out[:, Column.LEVEL] += 0.87 * row * thick
+            out[:, Column.TURN] += 0.3 * thick / np.maximum(out[:, Column.HALF_U], 0.5) * rng.normal(size=n)
+            out[:, Column.EXTRA], out[:, Column.REACH] = 0.0, np.hypot(out[:, Column.HALF_U], out[:, Column.HALF_V])
+            out[:, Column.RED : Column.BLUE + 1] *= np.exp(0.15 * rng.normal(size=n))[:, None]
             found.append(out)
         return np.concatenate(found)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         """Stamp the bars, at least as thick as a cell."""
         things = lay.things(sheet.box)
-        things[:, [HALF_U, HALF_V]] = np.maximum(things[:, [HALF_U, HALF_V]], THINNEST * sheet.cell)
-        stamp(sheet, things, stamps.FLAT)
+        things[:, [Column.HALF_U, Column.HALF_V]] = np.maximum(
+            things[:, [Column.HALF_U, Column.HALF_V]], THINNEST * sheet.cell
+        )
+        stamp(sheet, things, stamps.Roof.FLAT)
 
 
 class Tarpaulins(Boxes):
@@ -110,24 +114,28 @@ class Tarpaulins(Boxes):
     def draw(self, rng: Generator, things: F64) -> None:
         """Draw both sides, the turn and the tint of each tarpaulin."""
         n = len(things)
-        things[:, HALF_U] = 0.5 * rng.uniform(*self.size, n)
-        things[:, HALF_V] = 0.5 * rng.uniform(*(self.width or self.size), n)
-        things[:, TURN] = self.turns(rng, n)
-        things[:, REACH] = 1.05 * np.hypot(things[:, HALF_U], things[:, HALF_V])
+        things[:, Column.HALF_U] = 0.5 * rng.uniform(*self.size, n)
+        things[:, Column.HALF_V] = 0.5 * rng.uniform(*(self.width or self.size), n)
+        things[:, Column.TURN] = self.turns(rng, n)
+        things[:, Column.REACH] = 1.05 * np.hypot(things[:, Column.HALF_U], things[:, Column.HALF_V])
         self.paint(rng, things, Look.PAINT, "plastic")
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         """Lay the tarpaulins over the ground and low things, with random creases and wandering edges."""
         for thing in lay.things(sheet.box):
-            index, dx, dy = sheet.near(thing[EAST], thing[NORTH], thing[REACH])
+            index, dx, dy = sheet.near(thing[Column.EAST], thing[Column.NORTH], thing[Column.REACH])
             if not dx.size:
                 continue
-            u, v = along_and_across(dx, dy, thing[TURN])
-            edge = 0.04 * min(thing[HALF_U], thing[HALF_V]) * noise(sheet.x[index], sheet.y[index], lay.seed, 2.0, 1.0)
-            crease = noise(u + 7.0 * thing[EAST], v + 7.0 * thing[NORTH], lay.seed + 1, 1.2, 0.25, 0.8)
+            u, v = along_and_across(dx, dy, thing[Column.TURN])
+            edge = (
+                0.04
+                * min(thing[Column.HALF_U], thing[Column.HALF_V])
+                * noise(sheet.x[index], sheet.y[index], lay.seed, 2.0, 1.0)
+            )
+            crease = noise(u + 7.0 * thing[Column.EAST], v + 7.0 * thing[Column.NORTH], lay.seed + 1, 1.2, 0.25, 0.8)
             crease = np.maximum(1.0 - np.abs(crease), 0.0)
-            inside = np.maximum(np.abs(u) - thing[HALF_U], np.abs(v) - thing[HALF_V]) < edge
+            inside = np.maximum(np.abs(u) - thing[Column.HALF_U], np.abs(v) - thing[Column.HALF_V]) < edge
             inside &= (sheet.height[index] < sheet.ground[index] + DRAPED) & (sheet.label[index] != Terrain.TREE)
             sheet.height[index] += np.where(inside, 0.01 + self.folds * crease**2, 0.0)
             sheet.depth[index] = np.where(inside, 0.0, sheet.depth[index])
-            sheet.paint(index, inside, Terrain.STRUCTURE, Look.PAINT, thing[RED : BLUE + 1])
+            sheet.paint(index, inside, Terrain.STRUCTURE, Look.PAINT, thing[Column.RED : Column.BLUE + 1])

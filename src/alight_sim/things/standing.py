@@ -11,7 +11,7 @@ from pydantic import Field
 from alight.arrays import F64
 from alight.records import Terrain
 from alight_sim.kernels import stamps
-from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, LEVEL, LOOK, NORTH, REACH, RED, TOP, TURN
+from alight_sim.kernels.stamps import Column
 from alight_sim.looks import Look
 from alight_sim.things.base import (
     UNTINTED,
@@ -42,8 +42,8 @@ class Dome(Scattered):
     def paint(self, rng: Generator, things: F64) -> None:
         """Set the look, and draw a brightness for each thing."""
         shade = np.exp(0.5 * self.shades * rng.standard_normal(len(things)))
-        things[:, RED : BLUE + 1] = np.array(self.tint) * shade[:, None]
-        things[:, LOOK] = self.look
+        things[:, Column.RED : Column.BLUE + 1] = np.array(self.tint) * shade[:, None]
+        things[:, Column.LOOK] = self.look
 
     def domes(
         self, sheet: Sheet, lay: Lay, kind: int, look: tuple[float, float, float, float], shape: int, rooted: bool
@@ -82,15 +82,15 @@ class Rocks(Dome):
         """Draw the radius of each rock by the power law, its turn, width and height."""
         n = len(things)
         radius = power_law(rng, self.radius, self.exponent, n)
-        things[:, TURN] = rng.uniform(0.0, math.pi, n)
-        things[:, HALF_U], things[:, HALF_V] = radius, radius * rng.uniform(0.6, 1.0, n)
-        things[:, TOP] = radius * drawn_evenly(rng, self.flatness, n)
-        things[:, EXTRA] = 0.06 * radius
-        things[:, REACH] = 1.3 * radius
+        things[:, Column.TURN] = rng.uniform(0.0, math.pi, n)
+        things[:, Column.HALF_U], things[:, Column.HALF_V] = radius, radius * rng.uniform(0.6, 1.0, n)
+        things[:, Column.TOP] = radius * drawn_evenly(rng, self.flatness, n)
+        things[:, Column.EXTRA] = 0.06 * radius
+        things[:, Column.REACH] = 1.3 * radius
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        self.domes(sheet, lay, Terrain.ROCK, (0.12, 1.0, 0.25, 0.06), stamps.ELLIPSOID, rooted=False)
+        self.domes(sheet, lay, Terrain.ROCK, (0.12, 1.0, 0.25, 0.06), stamps.Dome.ELLIPSOID, rooted=False)
 
 
 class Trees(Dome):
@@ -118,16 +118,18 @@ class Trees(Dome):
         radius, tall = drawn_evenly(rng, self.radius, n), rng.uniform(1.7, 2.6, n)
         if self.height is not None:
             tall = drawn_evenly(rng, self.height, n) / radius
-        things[:, HALF_U], things[:, HALF_V] = radius, radius * rng.uniform(0.85, 1.0, n)
-        things[:, TURN], things[:, TOP] = rng.uniform(0.0, math.pi, n), tall * radius
-        things[:, EXTRA], things[:, REACH] = 0.1, 1.3 * radius
+        things[:, Column.HALF_U], things[:, Column.HALF_V] = radius, radius * rng.uniform(0.85, 1.0, n)
+        things[:, Column.TURN], things[:, Column.TOP] = rng.uniform(0.0, math.pi, n), tall * radius
+        things[:, Column.EXTRA], things[:, Column.REACH] = 0.1, 1.3 * radius
         self.paint(rng, things)
 
     def parts(self, rng: Generator, things: F64) -> F64:
         """Return the clumps of each crown: balls in the upper part of an ellipsoid; a conifer is one cone."""
         if self.form == "conifer" or not len(things):
             return things
-        count = np.clip((4.0 + 3.0 * things[:, HALF_U]).astype(np.int64), 6, 24) * (3 if self.form == "bare" else 1)
+        count = np.clip((4.0 + 3.0 * things[:, Column.HALF_U]).astype(np.int64), 6, 24) * (
+            3 if self.form == "bare" else 1
+        )
         out = np.repeat(things, count, axis=0)
         first = np.concatenate([[0], np.cumsum(count)[:-1]])
         n = len(out)
@@ -135,23 +137,23 @@ class Trees(Dome):
         far = rng.uniform(0.45, 0.75, n)
         lift[first], far[first] = 1.0, 0.62  # one clump is the top
         aside = far * np.sqrt(1.0 - lift**2)
-        ball = out[:, HALF_U] * rng.uniform(0.28, 0.46, n) * (0.45 if self.form == "bare" else 1.0)
-        half = 0.36 * out[:, TOP]  # half the ellipsoid's height; its middle is this far below the top
-        out[:, EAST] += aside * out[:, HALF_U] * np.cos(turn)
-        out[:, NORTH] += aside * out[:, HALF_V] * np.sin(turn)
+        ball = out[:, Column.HALF_U] * rng.uniform(0.28, 0.46, n) * (0.45 if self.form == "bare" else 1.0)
+        half = 0.36 * out[:, Column.TOP]  # half the ellipsoid's height; its middle is this far below the top
+        out[:, Column.EAST] += aside * out[:, Column.HALF_U] * np.cos(turn)
+        out[:, Column.NORTH] += aside * out[:, Column.HALF_V] * np.sin(turn)
         upper = np.minimum(half, 1.2 * ball)  # a clump is not much higher than wide
-        out[:, LEVEL] += out[:, TOP] - half + lift * (half - upper)
-        out[:, TOP], out[:, HALF_U] = upper, ball
-        out[:, HALF_V] = ball * rng.uniform(0.75, 1.0, n)
-        out[:, REACH] = 1.5 * ball
-        out[:, RED : BLUE + 1] *= np.exp(0.12 * rng.standard_normal(n))[:, None]
+        out[:, Column.LEVEL] += out[:, Column.TOP] - half + lift * (half - upper)
+        out[:, Column.TOP], out[:, Column.HALF_U] = upper, ball
+        out[:, Column.HALF_V] = ball * rng.uniform(0.75, 1.0, n)
+        out[:, Column.REACH] = 1.5 * ball
+        out[:, Column.RED : Column.BLUE + 1] *= np.exp(0.12 * rng.standard_normal(n))[:, None]
         return out
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         if self.form == "conifer":
-            self.domes(sheet, lay, Terrain.TREE, (0.12, 3.0, 0.5, 0.14), stamps.CONE, rooted=True)
+            self.domes(sheet, lay, Terrain.TREE, (0.12, 3.0, 0.5, 0.14), stamps.Dome.CONE, rooted=True)
         else:
-            self.domes(sheet, lay, Terrain.TREE, (0.0, 1.0, 0.45, 0.17), stamps.ELLIPSOID, rooted=True)
+            self.domes(sheet, lay, Terrain.TREE, (0.0, 1.0, 0.45, 0.17), stamps.Dome.ELLIPSOID, rooted=True)
 
 
 class Shrubs(Dome):
@@ -178,15 +180,15 @@ class Shrubs(Dome):
         """Draw the radius of each shrub by the power law, and its height."""
         n = len(things)
         radius = power_law(rng, self.radius, self.exponent, n)
-        things[:, HALF_U], things[:, HALF_V] = radius, radius * rng.uniform(0.7, 1.0, n)
-        things[:, TURN] = rng.uniform(0.0, math.pi, n)
-        things[:, TOP] = radius * drawn_evenly(rng, self.tall, n)
-        things[:, EXTRA], things[:, REACH] = 0.12 * radius, 1.5 * radius
+        things[:, Column.HALF_U], things[:, Column.HALF_V] = radius, radius * rng.uniform(0.7, 1.0, n)
+        things[:, Column.TURN] = rng.uniform(0.0, math.pi, n)
+        things[:, Column.TOP] = radius * drawn_evenly(rng, self.tall, n)
+        things[:, Column.EXTRA], things[:, Column.REACH] = 0.12 * radius, 1.5 * radius
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         look = (0.2, 1.0, 0.35, 0.14)
-        self.domes(sheet, lay, Terrain.TALL_VEGETATION, look, stamps.ELLIPSOID, rooted=False)
+        self.domes(sheet, lay, Terrain.TALL_VEGETATION, look, stamps.Dome.ELLIPSOID, rooted=False)
 
 
 class Mounds(Dome):
@@ -211,14 +213,14 @@ class Mounds(Dome):
         """Draw the radius and height of each mound."""
         n = len(things)
         radius = drawn_evenly(rng, self.radius, n)
-        things[:, HALF_U], things[:, HALF_V] = radius, radius
-        things[:, TOP], things[:, REACH] = drawn_evenly(rng, self.height, n), 1.3 * radius
-        things[:, EXTRA] = np.minimum(0.1 * things[:, TOP], 0.04)
+        things[:, Column.HALF_U], things[:, Column.HALF_V] = radius, radius
+        things[:, Column.TOP], things[:, Column.REACH] = drawn_evenly(rng, self.height, n), 1.3 * radius
+        things[:, Column.EXTRA] = np.minimum(0.1 * things[:, Column.TOP], 0.04)
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         kind = -1 if self.kind is None else int(terrain_named(self.kind))
-        shape = {"round": stamps.ELLIPSOID, "cone": stamps.CONE, "drum": stamps.DRUM}[self.form]
+        shape = {"round": stamps.Dome.ELLIPSOID, "cone": stamps.Dome.CONE, "drum": stamps.Dome.DRUM}[self.form]
         ragged = 0.0 if self.form == "drum" else 0.07
         self.domes(sheet, lay, kind, (0.1, 1.0 if ragged else 0.0, 0.2, ragged), shape, rooted=self.form == "drum")
 
@@ -244,10 +246,10 @@ class Logs(Dome):
         """Draw the length, thickness and turn of each log."""
         n = len(things)
         thick = drawn_evenly(rng, self.thickness, n)
-        things[:, HALF_U], things[:, HALF_V] = 0.5 * drawn_evenly(rng, self.length, n), 0.5 * thick
-        things[:, TOP], things[:, TURN] = thick, rng.uniform(0.0, math.pi, n)
-        things[:, REACH] = 1.2 * things[:, HALF_U]
+        things[:, Column.HALF_U], things[:, Column.HALF_V] = 0.5 * drawn_evenly(rng, self.length, n), 0.5 * thick
+        things[:, Column.TOP], things[:, Column.TURN] = thick, rng.uniform(0.0, math.pi, n)
+        things[:, Column.REACH] = 1.2 * things[:, Column.HALF_U]
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        self.domes(sheet, lay, Terrain.TREE, (0.5, 0.0, 0.3, 0.0), stamps.ELLIPSOID, rooted=False)
+        self.domes(sheet, lay, Terrain.TREE, (0.5, 0.0, 0.3, 0.0), stamps.Dome.ELLIPSOID, rooted=False)

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 
 from alight.arrays import F64, Mask
 from alight_sim.kernels import stones as kernel
-from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, GREEN, HALF_U, HALF_V, NORTH, REACH, RED, TOP, TURN
+from alight_sim.kernels.stamps import Column
 from alight_sim.looks import Look
 from alight_sim.materials import tables
 from alight_sim.relief import noise
@@ -114,12 +114,15 @@ class Stones(Scattered):
         sizes, counts = _counts(self._most, self.size)
         diameter = np.interp(-rng.random(n) * counts[0], -counts, sizes)
         stretch = rng.uniform(1.0, STRETCH, n)
-        things[:, TURN] = rng.uniform(0.0, 2.0 * math.pi, n)
-        things[:, HALF_U], things[:, HALF_V] = 0.5 * diameter * stretch, 0.5 * diameter / stretch
-        things[:, TOP] = diameter * rng.uniform(*self.height, n)
-        things[:, EXTRA], things[:, REACH] = diameter, RIM * things[:, HALF_U]
-        things[:, RED] = np.exp(self.shades * rng.standard_normal(n))
-        things[:, GREEN], things[:, BLUE] = rng.random(n), rng.random(n)  # random numbers for existence and outline
+        things[:, Column.TURN] = rng.uniform(0.0, 2.0 * math.pi, n)
+        things[:, Column.HALF_U], things[:, Column.HALF_V] = 0.5 * diameter * stretch, 0.5 * diameter / stretch
+        things[:, Column.TOP] = diameter * rng.uniform(*self.height, n)
+        things[:, Column.EXTRA], things[:, Column.REACH] = diameter, RIM * things[:, Column.HALF_U]
+        things[:, Column.RED] = np.exp(self.shades * rng.standard_normal(n))
+        things[:, Column.GREEN], things[:, Column.BLUE] = (
+            rng.random(n),
+            rng.random(n),
+        )  # random numbers for existence and outline
 
     def share_at(self, east: F64, north: F64, seed: int) -> F64:
         """Return the share of ground under stones, k, at positions (N,), m; it varies within the limits of `share`."""
@@ -131,10 +134,10 @@ class Stones(Scattered):
         """Return the (N,) mask of the drawn stones to keep, which thins them from the densest law to the local one."""
         if self.share is None or not len(things):
             return np.ones(len(things), bool)
-        k, most = self.share_at(things[:, EAST], things[:, NORTH], seed), self._most
+        k, most = self.share_at(things[:, Column.EAST], things[:, Column.NORTH], seed), self._most
         q = 1.79 + 0.152 / k
-        chance = k * q / (most * decay(most)) * np.exp(-(q - decay(most)) * things[:, EXTRA])
-        return np.asarray(things[:, GREEN] < chance)
+        chance = k * q / (most * decay(most)) * np.exp(-(q - decay(most)) * things[:, Column.EXTRA])
+        return np.asarray(things[:, Column.GREEN] < chance)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         things = lay.things(sheet.box)

@@ -12,7 +12,7 @@ from pydantic import Field
 from alight.arrays import F64
 from alight.records import Terrain
 from alight_sim.kernels import stamps
-from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, LEVEL, LOOK, NORTH, REACH, RED, TOP, TURN
+from alight_sim.kernels.stamps import Column
 from alight_sim.looks import Look
 from alight_sim.spans import TrueSpans
 from alight_sim.things.base import Between, Box, Layer, LookName, Scattered, Sheet, Tint, blank_things
@@ -44,8 +44,17 @@ def posts(feet: F64, height: F64 | float, thickness: float, look: Look, tint: Ti
     """
     things = blank_things(feet[:, :2])
     half = 0.5 * max(thickness, cell)
-    things[:, LEVEL], things[:, TOP], things[:, HALF_U], things[:, HALF_V] = feet[:, 2], height, half, half
-    things[:, REACH], things[:, LOOK], things[:, RED : BLUE + 1] = math.hypot(half, half), look, tint
+    things[:, Column.LEVEL], things[:, Column.TOP], things[:, Column.HALF_U], things[:, Column.HALF_V] = (
+        feet[:, 2],
+        height,
+        half,
+        half,
+    )
+    things[:, Column.REACH], things[:, Column.LOOK], things[:, Column.RED : Column.BLUE + 1] = (
+        math.hypot(half, half),
+        look,
+        tint,
+    )
     return things
 
 
@@ -90,7 +99,9 @@ class Strung(Layer):
     def plant(self, sheet: Sheet, lay: Lay, feet: F64, height: F64 | float) -> None:
         """Stamp posts at the feet (N, 3); `height`: metres, one or (N,)."""
         if self.post > 0.0:
-            stamp(sheet, posts(feet, height, self.post, self.post_look, self.post_tint, lay.stack.cell), stamps.FLAT)
+            stamp(
+                sheet, posts(feet, height, self.post, self.post_look, self.post_tint, lay.stack.cell), stamps.Roof.FLAT
+            )
 
 
 class PowerLine(Lined, Strung):
@@ -155,28 +166,33 @@ class WashingLine(Scattered, Strung):
     def draw(self, rng: Generator, things: F64) -> None:
         """Draw the length, height and turn of each washing line."""
         n = len(things)
-        things[:, HALF_U], things[:, TOP] = 0.5 * rng.uniform(*self.length, n), rng.uniform(*self.height, n)
+        things[:, Column.HALF_U], things[:, Column.TOP] = (
+            0.5 * rng.uniform(*self.length, n),
+            rng.uniform(*self.height, n),
+        )
         turns = rng.uniform(0.0, math.pi, n)
-        things[:, TURN] = turns if self.turn_deg is None else math.radians(self.turn_deg)
-        things[:, REACH] = self.largest
+        things[:, Column.TURN] = turns if self.turn_deg is None else math.radians(self.turn_deg)
+        things[:, Column.REACH] = self.largest
 
     def _feet(self, things: F64, lay: Lay) -> F64:
         """Return the (N, 2, 3) feet of both posts of each washing line."""
-        half = things[:, HALF_U, None] * np.column_stack([np.cos(things[:, TURN]), np.sin(things[:, TURN])])
-        middle = things[:, [EAST, NORTH]]
+        half = things[:, Column.HALF_U, None] * np.column_stack(
+            [np.cos(things[:, Column.TURN]), np.sin(things[:, Column.TURN])]
+        )
+        middle = things[:, [Column.EAST, Column.NORTH]]
         return footed(np.stack([middle - half, middle + half], axis=1).reshape(-1, 2), lay).reshape(-1, 2, 3)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         """Stamp the posts."""
         things = lay.things(sheet.box)
-        self.plant(sheet, lay, self._feet(things, lay).reshape(-1, 3), np.repeat(things[:, TOP], 2))
+        self.plant(sheet, lay, self._feet(things, lay).reshape(-1, 3), np.repeat(things[:, Column.TOP], 2))
 
     def hang(self, box: Box, lay: Lay) -> TrueSpans:
         """Return the wires of the washing lines that reach into a box."""
         things = lay.things(box)
         tops = self._feet(things, lay)
-        tops[..., 2] += things[:, TOP, None]
-        aside = np.column_stack([-np.sin(things[:, TURN]), np.cos(things[:, TURN])])
+        tops[..., 2] += things[:, Column.TOP, None]
+        aside = np.column_stack([-np.sin(things[:, Column.TURN]), np.cos(things[:, Column.TURN])])
         return self.string(tops, np.repeat(aside[:, None], 2, axis=1))
 
 
@@ -208,24 +224,28 @@ class GuyedMast(Scattered):
     def draw(self, rng: Generator, things: F64) -> None:
         """Draw the height and turn of each mast."""
         n = len(things)
-        things[:, TOP], things[:, TURN] = rng.uniform(*self.height, n), rng.uniform(0.0, 2.0 * math.pi, n)
-        things[:, REACH] = self.spread * things[:, TOP]
+        things[:, Column.TOP], things[:, Column.TURN] = rng.uniform(*self.height, n), rng.uniform(0.0, 2.0 * math.pi, n)
+        things[:, Column.REACH] = self.spread * things[:, Column.TOP]
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         """Stamp the masts."""
         things = lay.things(sheet.box)
-        feet = footed(things[:, [EAST, NORTH]], lay)
-        stamp(sheet, posts(feet, things[:, TOP], self.thickness, self.look, self.tint, lay.stack.cell), stamps.FLAT)
+        feet = footed(things[:, [Column.EAST, Column.NORTH]], lay)
+        stamp(
+            sheet,
+            posts(feet, things[:, Column.TOP], self.thickness, self.look, self.tint, lay.stack.cell),
+            stamps.Roof.FLAT,
+        )
 
     def hang(self, box: Box, lay: Lay) -> TrueSpans:
         """Return the guys of the masts that reach into a box."""
         out = []
         for thing in lay.things(box):
-            (foot,) = footed(thing[None, [EAST, NORTH]], lay)
-            turns = thing[TURN] + 2.0 * math.pi * np.arange(self.guys) / self.guys
-            anchors = footed(foot[:2] + thing[REACH] * np.column_stack([np.cos(turns), np.sin(turns)]), lay)
+            (foot,) = footed(thing[None, [Column.EAST, Column.NORTH]], lay)
+            turns = thing[Column.TURN] + 2.0 * math.pi * np.arange(self.guys) / self.guys
+            anchors = footed(foot[:2] + thing[Column.REACH] * np.column_stack([np.cos(turns), np.sin(turns)]), lay)
             for share in np.arange(1, self.levels + 1) / self.levels:
-                top = np.tile(foot + share * thing[TOP] * UP, (self.guys, 1))
+                top = np.tile(foot + share * thing[Column.TOP] * UP, (self.guys, 1))
                 sag = self.sag * np.linalg.norm(top - anchors, axis=1)
                 out.append(TrueSpans.of(top, anchors, sag=sag, diameter=self.diameter, colour=self.colour))
         return TrueSpans.joined(out)
@@ -256,28 +276,28 @@ class Branches(Scattered):
     def draw(self, rng: Generator, things: F64) -> None:
         """Draw the height and reach of each tree, and the seed of its branches."""
         n = len(things)
-        things[:, TOP], things[:, HALF_U] = rng.uniform(*self.height, n), rng.uniform(*self.reach, n)
-        things[:, EXTRA], things[:, REACH] = rng.integers(2**31, size=n), 1.3 * things[:, HALF_U]
+        things[:, Column.TOP], things[:, Column.HALF_U] = rng.uniform(*self.height, n), rng.uniform(*self.reach, n)
+        things[:, Column.EXTRA], things[:, Column.REACH] = rng.integers(2**31, size=n), 1.3 * things[:, Column.HALF_U]
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         """Stamp the trunks."""
         things = lay.things(sheet.box)
-        feet = footed(things[:, [EAST, NORTH]], lay)
-        trunks = posts(feet, things[:, TOP], self.thickness, Look.SOIL, (0.8, 0.8, 0.8), lay.stack.cell)
-        stamp(sheet, trunks, stamps.FLAT, Terrain.TREE)
+        feet = footed(things[:, [Column.EAST, Column.NORTH]], lay)
+        trunks = posts(feet, things[:, Column.TOP], self.thickness, Look.SOIL, (0.8, 0.8, 0.8), lay.stack.cell)
+        stamp(sheet, trunks, stamps.Roof.FLAT, Terrain.TREE)
 
     def hang(self, box: Box, lay: Lay) -> TrueSpans:
         """Return the branches of the trees that reach into a box."""
         things = lay.things(box)
-        feet = footed(things[:, [EAST, NORTH]], lay)
+        feet = footed(things[:, [Column.EAST, Column.NORTH]], lay)
         return TrueSpans.joined(self._grow(thing, foot) for thing, foot in zip(things, feet, strict=True))
 
     def _grow(self, thing: F64, foot: F64) -> TrueSpans:
         """Return the branches of a tree at `foot` (3,): each has two spans, the outer one thinner, and three twigs."""
-        rng, n, (thin, thick) = np.random.default_rng(int(thing[EXTRA])), self.count, self.diameter
+        rng, n, (thin, thick) = np.random.default_rng(int(thing[Column.EXTRA])), self.count, self.diameter
         turn = 2.4 * np.arange(n) + rng.normal(0.0, 0.3, n)  # about the golden angle, as branches stand
-        start = foot + np.outer(rng.uniform(0.4, 1.0, n) * thing[TOP], UP)
-        length, climb = thing[HALF_U] * rng.uniform(0.6, 1.0, n), rng.uniform(-0.15, 0.6, n)
+        start = foot + np.outer(rng.uniform(0.4, 1.0, n) * thing[Column.TOP], UP)
+        length, climb = thing[Column.HALF_U] * rng.uniform(0.6, 1.0, n), rng.uniform(-0.15, 0.6, n)
         way = length[:, None] * np.column_stack([np.cos(turn), np.sin(turn), climb])
         middle, tip = start + 0.5 * way, start + way + np.outer(-0.1 * length, UP)
         ends = [(start, middle, thick), (middle, tip, 0.5 * (thin + thick))]
