@@ -144,7 +144,7 @@ def test_small_functions_agree_with_numpy():
 
 def scratch(x, y, look, foot=0.02):
     """Return the working memory of a block of pixels."""
-    buf = np.zeros(block.Slot.PARAM + texture.PARAMS * block.B, np.float32)
+    buf = np.zeros(block.Slot.PARAM + texture.TRAITS * block.B, np.float32)
     for slot, values in ((block.Slot.TX, x), (block.Slot.TY, y), (block.Slot.FOOT, foot)):
         buf[slot : slot + block.B] = values
     texture.load_looks(buf, tables()[0], np.full(block.B, look, np.int32), texture.Trait.BED)
@@ -374,7 +374,7 @@ def test_shadows_turn_with_the_sun():
 
 def test_every_look_has_a_row_and_texture_from_5_to_150_m():
     assert set(materials()) == set(Look)
-    assert tables()[0].shape == (len(Look), texture.PARAMS)
+    assert tables()[0].shape == (len(Look), texture.TRAITS)
     for look in (Look.MEADOW, Look.SOIL, Look.ASPHALT, Look.SAND, Look.ROCK, Look.BROADLEAF):
         for up in (5.0, 40.0, 150.0):
             picture = Eye(SMALL).radiance(ground(look, side=30.0, cell=0.2), above(up=up), 0.0)[..., 1]
