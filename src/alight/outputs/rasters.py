@@ -138,6 +138,7 @@ def encode(raster: RasterFile, crs: CRS) -> bytes:
         "transform": rasterio.Affine(*raster.grid.transform),
         "nodata": raster.nodata,
         "compress": "DEFLATE",
+        "level": 1,
         "predictor": "YES",
         "blocksize": 256,
         "overview_resampling": raster.resampling,
