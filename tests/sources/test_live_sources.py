@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import threading
 import time
@@ -26,7 +27,7 @@ from alight.runs import flown_home
 from alight.settings import Settings
 from alight.sources.capture import SensorClock
 from alight.sources.growing import GrowingLog, GrowingTable, WaitingExposures
-from alight.sources.live import LiveSource, as_they_arrive, paced
+from alight.sources.live import LiveSource, as_they_arrive, open_sensors, paced
 from alight_sim import fly
 from alight_sim.autopilot import SimulatedAutopilot, UdpServer
 
@@ -223,6 +224,22 @@ def test_gps_that_comes_after_the_start_of_a_folder_is_not_used(tmp_path: Path) 
     log = GrowingLog(root, Settings(), idle=0.01)
     assert sum(isinstance(e, NavSample) for e in log.events()) == 12
     assert log.warnings == []
+
+
+def test_a_flight_waits_for_pictures_that_come_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The estimator of a real Copter had a position 25 s after its receiver; pictures that follow it begin then."""
+    root = write_flight(tmp_path / "flight")
+    table, clock = root / "mav0/cam0/data.csv", Clock()
+    whole = table.read_bytes()
+    table.write_bytes(whole.split(b"\n")[0] + b"\n")
+
+    def sleep(seconds: float) -> None:
+        clock.sleep(60.0)
+        table.write_bytes(whole)
+
+    monkeypatch.setattr("alight.sources.growing.time", mock.Mock(monotonic=clock.perf_counter, sleep=sleep))
+    log = open_sensors(str(root), Settings(), None, lambda: clock.now > 600.0, math.inf)
+    assert sum(isinstance(e, Frame) for e in log.events) == 6
 
 
 def test_a_folder_without_calibration_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

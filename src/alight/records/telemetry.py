@@ -117,13 +117,19 @@ class EstimatorFlag(IntFlag):
 
     ABSOLUTE = 16
     CONSTANT = 128
+    AIDED = 512  # by a receiver's positions
     UNINITIALISED = 1024
     GPS_GLITCH = 32768
 
 
 def is_absolute(estimator_flags: int) -> bool:
-    """Whether the estimator's flags report an absolute position without a sign of failure."""
-    doubtful = EstimatorFlag.CONSTANT | EstimatorFlag.UNINITIALISED | EstimatorFlag.GPS_GLITCH
+    """Whether the estimator's flags report an absolute position without a sign of failure.
+
+    Since 1.16, PX4 sets CONSTANT for every vehicle at rest, also while it uses positions of its receiver.
+    """
+    doubtful = EstimatorFlag.UNINITIALISED | EstimatorFlag.GPS_GLITCH
+    if not estimator_flags & EstimatorFlag.AIDED:
+        doubtful |= EstimatorFlag.CONSTANT
     return bool(estimator_flags & EstimatorFlag.ABSOLUTE) and not estimator_flags & doubtful
 
 

@@ -35,14 +35,16 @@ def is_cameras(name: str) -> bool:
 
 
 def open_sensors(
-    name: str, settings: Settings, rig: Path | None = None, stopped: Callable[[], bool] = lambda: False
-) -> LiveSource:
+    name: str, settings: Settings, rig: Path | None = None, stopped: Callable[[], bool] = lambda: False,
+    idle: float = 10.0,
+) -> LiveSource:  # fmt: skip
     """Open cameras, or a folder that is being filled.
 
     Args:
         name: camera names separated by commas, or a folder.
         rig: folder with the calibration of the cameras; None: not given.
         stopped: polled regularly; True ends the events.
+        idle: s without anything new in a folder after which it is complete.
 
     Raises:
         InputError: the source does not exist or cannot be used; the message names what was missing.
@@ -51,7 +53,7 @@ def open_sensors(
         from alight.sources.growing import GrowingLog, wait_for_calibration
 
         wait_for_calibration(Path(name), PATIENCE)
-        growing = GrowingLog(Path(name), settings)
+        growing = GrowingLog(Path(name), settings, idle)
         return LiveSource(growing, growing.events(stopped), True)
     if rig is None:
         raise InputError(f"{name}: cameras need their calibration; give a folder with cam0/sensor.yaml as --rig")

@@ -181,8 +181,9 @@ def _flags(now: SimulatedAutopilot) -> int:
 
 
 def _estimator_status(now: SimulatedAutopilot) -> Any:
-    t_us = round(now.boot * 1e6)
-    return mavlink.MAVLink_estimator_status_message(t_us, _flags(now), 0.1, 0.1, 0.1, 0.1, 0, 0, 0.4, 0.6)
+    t_us, at_rest = round(now.boot * 1e6), now.logic.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
+    flags = _flags(now) | (mavlink.ESTIMATOR_CONST_POS_MODE if at_rest else 0)  # as PX4 does since 1.16
+    return mavlink.MAVLink_estimator_status_message(t_us, flags, 0.1, 0.1, 0.1, 0.1, 0, 0, 0.4, 0.6)
 
 
 def _wind(now: SimulatedAutopilot) -> Any:

@@ -62,7 +62,8 @@ def fly_vehicle(
     try:
         if plan.dry_run:  # before the cameras, which may need half a minute
             report_parameters(feed, on_line)
-        opened = open_sensors(plan.camera, plan.settings, plan.rig, over.is_set)
+        # a folder that pauses is no end: the executive notices, and the rows of GPS/INS go on
+        opened = open_sensors(plan.camera, plan.settings, plan.rig, over.is_set, math.inf)
         machine = preflight.judge_machine(
             compiled.is_warm(), plan.out, opened.source.rig, USUAL_RATE, plan.settings.executive.time_budget,
             plan.record,
