@@ -26,32 +26,23 @@ def missing_extra(path: Path) -> MissingExtraError | None:
     return None if find_spec(package) else MissingExtraError(package, extra)
 
 
-def is_raw(path: Path) -> bool:
-    """Whether a file holds raw sensor values, by its suffix."""
-    return EXTRAS.get(path.suffix.lower(), ("", ""))[1] == "raw"
+def extra_of(path: Path) -> str:
+    """Return Alight's extra for a file's format, by its suffix; empty: none is needed."""
+    return EXTRAS.get(path.suffix.lower(), ("PIL", ""))[1]
 
 
-def raw_size(path: Path) -> tuple[int, int]:
-    """Return (width, height) of a raw picture.
-
-    Raises:
-        ValueError: the file is damaged.
-    """
-    with _opened_raw(path) as raw:
-        return int(raw.sizes.width), int(raw.sizes.height)
-
-
-def raw_pixels(path: Path) -> U8:
+def developed(path: Path) -> U8:
     """Develop a raw picture, (H, W, 3) RGB, without rotation and without adjusting its brightness.
 
     Raises:
         ValueError: the file is damaged.
     """
-    with _opened_raw(path) as raw:
+    with opened_raw(path) as raw:
         return np.asarray(raw.postprocess(use_camera_wb=True, no_auto_bright=True, user_flip=0), np.uint8)
 
 
-def _opened_raw(path: Path) -> Any:
+def opened_raw(path: Path) -> Any:
+    """Open a raw picture with rawpy, as a context manager; raise ValueError if the file is damaged."""
     import rawpy
 
     try:
