@@ -76,14 +76,14 @@ class Levels(NamedTuple):
 
 
 def levels_of(paths: Sequence[Path]) -> Levels | None:
-    """Determine the levels of a set of similar pictures of more than eight bits; None if no picture can be read.
+    """Determine the levels of a set of similar pictures of more than eight bits, from about 24; None: none can be read.
 
     Up to a thousandth of a picture's pixels, such as hot pixels and reflections, may lie below the lower level, and as
     many above the upper level. In colour, the lower level is 0, because a higher one would change the ratios of
     colours.
     """
     lows, highs = [], []
-    for path in paths:
+    for path in paths[:: -(-len(paths) // 24) or 1]:
         with suppress(ValueError):
             values = _values(path, 512)
             known = values[np.isfinite(values)]

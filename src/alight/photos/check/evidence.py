@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -106,7 +106,7 @@ def gather_photos(source: Photos, progress: Callable[[float], None]) -> PhotoEvi
         if other is not None and a is not None and b is not None:
             found.pairs.append(_matched(found, (int(first), other), (a, b)))
         progress((k + 1) / len(chosen))
-    return PhotoEvidence(**{**vars(found), "edges": np.array(widths).reshape(-1, 2)})
+    return replace(found, edges=np.array(widths).reshape(-1, 2))
 
 
 def _neighbour(number: int, centres: F64) -> int | None:
