@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +14,8 @@ from rasterio.enums import ColorInterp, Resampling
 from rasterio.transform import Affine
 from rasterio.vrt import WarpedVRT
 
-from alight.arrays import F64
+from alight.arrays import F64, Mask
+from alight.geometry import Grid
 from alight.records import InputError
 from alight.sources.heights import RasterHeights
 from alight.sources.opened_raster import OpenedRaster, open_raster, read_on
@@ -32,82 +34,74 @@ class Beside(NamedTuple):
     warnings: list[str]
 
 
-class _Placement(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """An open raster with its place relative to the heights."""
+
+    raster: OpenedRaster
+    heights: RasterHeights
     crs: CRS
     transform: Affine  # of the raster as stored
     pixels: float  # pixels of the raster per side of a height cell
     warnings: list[str]
 
-
-def _placement(raster: OpenedRaster, heights: RasterHeights) -> _Placement:
-    """Return where a raster lies: by its georeference or, if it has none, over the whole extent of the heights."""
-    own, other, dataset = heights.plane.reference, raster.reference, raster.dataset
-    if not raster.has_place:
-        (rows, cols), (height, width) = heights.shape, dataset.shape
-        if height % rows or width * rows != height * cols:
-            raise InputError(
-                f"{raster.label}: has no place, and its {width} x {height} cells do not fit {cols} x {rows} heights; "
-                f"mend it with: gdal_edit.py -a_ullr <west> <north> <east> <south> {raster.file}"
+    @classmethod
+    def of(cls, raster: OpenedRaster, heights: RasterHeights) -> _Placed:
+        """Place a raster: by its georeference or, if it has none, over the whole extent of the heights."""
+        own, other, dataset, crs = heights.plane.reference, raster.reference, raster.dataset, heights.plane.crs
+        if not raster.has_place:
+            (rows, cols), (height, width) = heights.shape, dataset.shape
+            if height % rows or width * rows != height * cols:
+                raise InputError(
+                    f"{raster.label}: has no place, and its {width} x {height} cells do not fit {cols} x {rows} "
+                    f"heights; mend it with: gdal_edit.py -a_ullr <west> <north> <east> <south> {raster.file}"
+                )
+            warning = f"{raster.path.name} has no place: it is taken to cover the heights"
+            extent = heights.transform @ Affine.scale(rows / height)
+            return cls(raster, heights, crs, extent, height // rows, [warning])
+        if own.on_earth and other.on_earth:
+            crs = other.crs
+        elif own.crs and other.crs and (own.on_earth or other.on_earth or own.unit != other.unit):
+            raise InputError(  # two site grids are assumed equal, whatever their names
+                f"{raster.label}: {other.plane and other.plane.name} cannot be converted to "
+                f"{own.plane and own.plane.name} of the heights; mend it with: gdal_edit.py -a_srs {raster.file}"
             )
-        warning = f"{raster.path.name} has no place: it is taken to cover the heights"
-        t, part = heights.transform, rows / height
-        extent = Affine(t.a * part, t.b * part, t.c, t.d * part, t.e * part, t.f)
-        return _Placement(heights.plane.crs, extent, height // rows, [warning])
-    if own.crs is None or other.crs is None:
-        crs = heights.plane.crs
-    elif own.on_earth and other.on_earth:
-        crs = other.crs
-    elif own.on_earth == other.on_earth and own.unit == other.unit:
-        crs = heights.plane.crs  # two site grids are assumed equal, whatever their names
-    else:
-        raise InputError(
-            f"{raster.label}: {other.plane and other.plane.name} cannot be converted to {own.plane and own.plane.name} "
-            f"of the heights; mend it with: gdal_edit.py -a_srs {raster.file}"
-        )
-    with WarpedVRT(dataset, src_crs=crs, crs=heights.plane.crs) as natural:
-        pixel = natural.transform.a
-    cell = heights.plane.grid_in_crs(heights.plane.grid).cell
-    assumed = [f"{raster.path.name} has no coordinate system: that of the heights is assumed"]
-    return _Placement(crs, dataset.transform, cell / pixel, assumed if own.crs and not other.crs else [])
+        with WarpedVRT(dataset, src_crs=crs, crs=heights.plane.crs) as natural:
+            pixel = natural.transform.a
+        cell = heights.plane.grid_in_crs(heights.plane.grid).cell
+        assumed = [f"{raster.path.name} has no coordinate system: that of the heights is assumed"]
+        unknown = own.crs is not None and other.crs is None
+        return cls(raster, heights, crs, dataset.transform, cell / pixel, assumed if unknown else [])
 
+    def read(self, bands: list[int], how: Resampling, factor: int = 1) -> F64:
+        """Read bands (numbers from 1) at f = `factor` pixels per side of a height cell; return (B, f R, f C)."""
+        together = "YES" if len(bands) > 1 else "NO"  # a pixel is no-data if all of its colours are no-data
+        more = {"src_crs": self.crs, "src_transform": self.transform, "UNIFIED_SRC_NODATA": together}
+        return read_on(self.raster, bands, self.heights.plane.crs, self._grid(factor), how, **more)
 
-def _on_cells(
-    raster: OpenedRaster, heights: RasterHeights, at: _Placement, bands: list[int], how: Resampling, factor: int = 1
-) -> F64:
-    """Read bands of a raster at f = `factor` pixels per side of a height cell; return (B, f R, f C).
+    def shares_cells(self, factor: int = 1) -> bool:
+        """Whether `factor` x `factor` cells make up each cell of the heights, in any stored orientation."""
+        if self.crs != self.heights.plane.crs:
+            return False
+        move = ~Affine(*self._grid(factor).transform) @ self.transform
+        turn, shift = np.array([move.a, move.b, move.d, move.e]), np.array([move.c, move.f])
+        drift = np.abs(turn - np.rint(turn)).max() * max(self.raster.dataset.shape)
+        is_turn = sorted(np.abs(np.rint(turn))) == [0.0, 0.0, 1.0, 1.0]
+        return bool(is_turn and drift < DRIFT and np.abs(shift - np.rint(shift)).max() < DRIFT)
 
-    `at`: where the raster lies; `bands`: numbers from 1; `how`: method of resampling.
-    """
-    plane = heights.plane
-    grid = plane.grid_in_crs(plane.grid.finer(factor))
-    together = "YES" if len(bands) > 1 else "NO"  # a pixel is no-data if all of its colours are no-data
-    return read_on(
-        raster, bands, plane.crs, grid, how, src_crs=at.crs, src_transform=at.transform, UNIFIED_SRC_NODATA=together
-    )
+    def _grid(self, factor: int) -> Grid:
+        return self.heights.plane.grid_in_crs(self.heights.plane.grid.finer(factor))
 
+    def coverage(self, known: Mask, lost: str) -> list[str]:
+        """Return one warning, which ends with `lost`, or none if all heights are covered: `known` is True everywhere.
 
-def _shares_cells(raster: OpenedRaster, heights: RasterHeights, at: _Placement, factor: int = 1) -> bool:
-    """Whether `factor` x `factor` cells of the raster make up each cell of the heights, in any stored orientation."""
-    if at.crs != heights.plane.crs:
-        return False
-    own = heights.plane.grid_in_crs(heights.plane.grid.finer(factor))
-    move = np.linalg.inv(np.reshape(Affine(*own.transform), (3, 3))) @ np.reshape(at.transform, (3, 3))
-    turn, shift = move[:2, :2].ravel(), move[:2, 2]
-    drift = np.abs(turn - np.rint(turn)).max() * max(raster.dataset.shape)
-    is_turn = sorted(np.abs(np.rint(turn))) == [0.0, 0.0, 1.0, 1.0]
-    return bool(is_turn and drift < DRIFT and np.abs(shift - np.rint(shift)).max() < DRIFT)
-
-
-def _coverage(raster: OpenedRaster, known: NDArray[np.bool_], lost: str) -> list[str]:
-    """Return one warning, which ends with `lost`, or none if the raster covers all heights: `known` is True everywhere.
-
-    Raises:
-        InputError: the raster covers no height.
-    """
-    if not known.any():
-        raise InputError(f"{raster.label}: lies elsewhere than the heights, or is empty; give one of the same place")
-    share = 100.0 * float(known.mean())
-    return [] if known.all() else [f"{raster.path.name} covers {share:.3g} % of the heights: {lost}"]
+        Raises:
+            InputError: the raster covers no height.
+        """
+        raster, share = self.raster, 100.0 * float(known.mean()) if known.size else 0.0
+        if not share:
+            raise InputError(f"{raster.label}: lies elsewhere than the heights, or is empty; give one of the same place")
+        return [] if known.all() else [f"{raster.path.name} covers {share:.3g} % of the heights: {lost}"]
 
 
 def own_sigma(raster: OpenedRaster, heights: RasterHeights) -> Beside | None:
@@ -115,9 +109,8 @@ def own_sigma(raster: OpenedRaster, heights: RasterHeights) -> Beside | None:
     if (number := _band_of_sigma(raster)) is None:
         return None
     band = band_in_metres(raster, number, heights.band.unit == 1.0)
-    plane = heights.plane
-    stored = read_on(raster, [band.number], plane.crs, plane.grid_in_crs(plane.grid))[0]
-    return _without_zeros(raster, heights, Beside(band.lengths(stored), f"sigma in {band.settled}", []))
+    sigma = band.lengths(heights.plane.read(raster, band.number))
+    return _without_zeros(raster, heights, Beside(sigma, f"sigma in {band.settled}", []))
 
 
 def _band_of_sigma(raster: OpenedRaster) -> int | None:
@@ -144,16 +137,16 @@ def sigma_beside(path: Path, heights: RasterHeights) -> Beside:
         InputError: the file is not a raster, its unit cannot be determined, it lies elsewhere, or has values below 0.
     """
     with open_raster(path) as raster:
-        at, number = _placement(raster, heights), _band_of_sigma(raster) or 1
+        at, number = _Placed.of(raster, heights), _band_of_sigma(raster) or 1
         band = band_in_metres(raster, number, heights.band.unit == 1.0 and raster.reference.is_metric)
-        resampled = not _shares_cells(raster, heights, at)
-        sigma = band.lengths(_on_cells(raster, heights, at, [number], Resampling.nearest)[0])
+        resampled = not at.shares_cells()
+        sigma = band.lengths(at.read([number], Resampling.nearest)[0])
         if resampled:
-            touched = band.lengths(_on_cells(raster, heights, at, [number], Resampling.max)[0])
+            touched = band.lengths(at.read([number], Resampling.max)[0])
             sigma = np.where(sigma == 0, sigma, np.maximum(sigma, touched))
         if (sigma < 0).any():
             raise InputError(f"{path}: sigma below 0; give 1-sigma in metres")
-        beyond = _coverage(raster, np.isfinite(sigma)[np.isfinite(heights.metres)], "no sigma beyond")
+        beyond = at.coverage(np.isfinite(sigma)[np.isfinite(heights.metres)], "no sigma beyond")
         words = f"{path.name}: sigma in {band.settled}{', resampled' if resampled else ''}"
         return _without_zeros(raster, heights, Beside(sigma, words, at.warnings + beyond))
 
@@ -168,14 +161,13 @@ def image_beside(path: Path, heights: RasterHeights) -> Beside:
         InputError: the file is not a raster, holds no picture, or lies elsewhere.
     """
     with open_raster(path) as raster:
-        at, bands, dataset = _placement(raster, heights), bands_of_picture(raster), raster.dataset
+        at, bands, dataset = _Placed.of(raster, heights), bands_of_picture(raster), raster.dataset
         factor = min(max(2 * int((at.pixels + DRIFT) / 2), 1), MOST_PIXELS)
         palette = dataset.colorinterp[bands[0] - 1] == ColorInterp.palette
-        as_stored = palette or _shares_cells(raster, heights, at, factor)
-        how = Resampling.nearest if as_stored else Resampling.average
-        pixels = _on_cells(raster, heights, at, bands, how, factor)
+        as_stored = palette or at.shares_cells(factor)
+        pixels = at.read(bands, Resampling.nearest if as_stored else Resampling.average, factor)
         known = np.asarray(np.isfinite(pixels).all(axis=0))
-        beyond = _coverage(raster, known, "grey beyond")
+        beyond = at.coverage(known, "grey beyond")
         if palette:
             colours = np.zeros((256, 3))
             for number, colour in dataset.colormap(bands[0]).items():

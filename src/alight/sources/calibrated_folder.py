@@ -8,6 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from alight.arrays import F64, U8
 from alight.geometry import LocalFrame, Pose
@@ -102,8 +103,7 @@ class CalibratedFolder(Source):
             return self._levels[cam]
         with suppress(*UNREADABLE):
             deep = read_header(path).bits > 8
-            files = sorted(path.parent.glob(f"*{path.suffix}")) if deep else []
-            found = levels_of(files[:: len(files) // 24 + 1])
+            found = levels_of(sorted(path.parent.glob(f"*{path.suffix}"))) if deep else None
             if found or not deep:
                 self._levels[cam] = found
             if found:
@@ -133,14 +133,23 @@ class CalibratedFolder(Source):
         return pose
 
     def _read_time_shifts(self, settings: Settings) -> list[int]:
-        """Return the ns by which each camera's stamps are ahead of the IMU's clock, by Kalibr and the settings."""
+        """Return the ns by which each camera's stamps are ahead of the IMU's clock, by Kalibr and the settings.
+
+        A camera without a shift gets the first given shift, or 0 if the exposures of the two then coincide better.
+        """
         cameras, given = len(self.rig.cameras), settings.motion.filter.time_offset
         path = settings.sources.calibration
-        read = read_time_shifts(Path(path).expanduser(), cameras) if path else []
-        if all(shift is None for shift in read):
+        shifts = read_time_shifts(Path(path).expanduser(), cameras) if path else {}
+        if not shifts:
             return [0] * cameras
-        shifts = self._without_gaps(read)
-        ahead = [-shift for shift in shifts]
+        first, shift = next(iter(shifts.items()))
+        for k in (k for k in range(cameras) if k not in shifts):
+            shifts[k] = shift if self._apart(k, first, 0.0) <= self._apart(k, first, shift) else 0.0
+            self.findings.warn(
+                f"timeshift_cam_imu is missing for cam{k}: {shifts[k]:+.4f} s is used, with which its exposures meet "
+                f"those of cam{first}"
+            )
+        ahead = [-shifts[k] for k in range(cameras)]
         if given:
             self.findings.warn(
                 f"motion.filter.time_offset={given:g} is used instead of timeshift_cam_imu, by which cam0 is "
@@ -148,43 +157,24 @@ class CalibratedFolder(Source):
             )
             ahead = [a - ahead[0] for a in ahead]
         else:
-            self.notes["timeshift_cam_imu"] = shifts
+            self.notes["timeshift_cam_imu"] = [-a for a in ahead]
         return [round(1e9 * a) for a in ahead]
-
-    def _without_gaps(self, shifts: list[float | None]) -> list[float]:
-        """Return the cameras' time shifts (s) with a value for each missing shift (None).
-
-        It is the first given shift, or 0 if the exposures of the two cameras then coincide better.
-        """
-        first, shift = next((k, shift) for k, shift in enumerate(shifts) if shift is not None)
-        out = list[float]()
-        for k, own in enumerate(shifts):
-            if own is None:
-                own = shift if self._apart(k, first, 0.0) <= self._apart(k, first, shift) else 0.0
-                self.findings.warn(
-                    f"timeshift_cam_imu is missing for cam{k}: {own:+.4f} s is used, with which its exposures meet "
-                    f"those of cam{first}"
-                )
-            out.append(own)
-        return out
 
     def _apart(self, camera: int, other: int, shift: float) -> float:
         """Return the median time in ns from each stamp of `camera` to the nearest stamp of `other`, two camera indices.
 
         The stamps of `other` are first moved by `shift` seconds. 0 if a camera has too few stamps.
         """
-        own, others = (self._stamps(self.rig.cameras[k].name) for k in (camera, other))
+        own, others = (self._stamps(self.rig.cameras[k].name)[:, None] for k in (camera, other))
         if not len(own) or len(others) < 2:
             return 0.0
-        others = others + 1e9 * shift
-        after = np.searchsorted(others, own).clip(1, len(others) - 1)
-        return float(np.median(np.minimum(np.abs(others[after] - own), np.abs(others[after - 1] - own))))
+        return float(np.median(cKDTree(others + 1e9 * shift).query(own)[0]))
 
     def _stamps(self, cam: str) -> F64:
-        """Return the stamps of a camera in order, (N,) ns."""
+        """Return the stamps of a camera, (N,) ns."""
         table = self._root / cam / "data.csv"
         lines = table.read_text("utf-8", "replace").splitlines() if table.is_file() else []
-        return np.sort([float(text) for line in lines if (text := line.partition(",")[0].strip()).isdecimal()])
+        return np.array([float(text) for line in lines if (text := line.partition(",")[0].strip()).isdecimal()])
 
     def _read_rig(self, settings: Settings) -> Rig:
         numbered = (p for p in self._root.glob("cam*") if re.fullmatch("cam[0-9]+", p.name))

@@ -155,18 +155,16 @@ def origin(path: Path) -> LocalFrame:
         raise InputError(f"{path}: origin is missing or malformed ({given!r}); {want}") from e
 
 
-def read_time_shifts(path: Path, cameras: int) -> list[float | None]:
-    """Read each camera's `timeshift_cam_imu` (s, added to its stamps for IMU time) from Kalibr's file; None: not given.
+def read_time_shifts(path: Path, cameras: int) -> dict[int, float]:
+    """Read the `timeshift_cam_imu` (s, added to stamps for IMU time) of the cameras that have one in Kalibr's file.
 
     Raises:
         InputError: a time shift is not a finite number.
     """
-    entries, shifts = load_yaml(path), list[float | None]()
-    for name in (f"cam{n}" for n in range(cameras)):
-        given = (entries.get(name) or {}).get("timeshift_cam_imu")
-        where = f"{path}: {name}."
-        key = "timeshift_cam_imu"
-        shifts.append(None if given is None else float(numbers({key: [given]}, key, (1,), where)[0]))
+    key, tree, shifts = "timeshift_cam_imu", load_yaml(path), dict[int, float]()
+    for n in range(cameras):
+        if (given := (tree.get(f"cam{n}") or {}).get(key)) is not None:
+            shifts[n] = float(numbers({key: [given]}, key, (1,), f"{path}: cam{n}.")[0])
     return shifts
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,9 +73,11 @@ class FlightLog(CalibratedFolder):
         """Return the start of an error message about a stream."""
         return str(self._root / stream / file)
 
-    def _size_of(self, cam: str, name: str) -> tuple[int, int]:
-        """Return (width, height) of a stored image; raise one of `UNREADABLE` if it cannot be read."""
-        return image_size(self._image_path(cam, name))
+    def _size_of(self, cam: str, name: str) -> tuple[int, int] | None:
+        """Return (width, height) of a stored image; None if it cannot be read."""
+        with suppress(*UNREADABLE):
+            return image_size(self._image_path(cam, name))
+        return None
 
     def _read_nav(self) -> Table | None:
         """Return the usable rows of `nav0`, or None; raise InputError if the world's origin is far from the rows."""
@@ -166,17 +169,13 @@ class FlightLog(CalibratedFolder):
 
     def _check_size(self, cam: str, size: tuple[int, int], stream: list[tuple[int, str]]) -> None:
         """Raise InputError if the first readable image of `stream` (ns, name) does not have the calibrated `size`."""
-        for _, name in stream:
-            try:
-                real = self._size_of(cam, name)
-            except UNREADABLE:
-                continue
-            if real != size:
-                raise InputError(
-                    f"{self._where(cam, 'sensor.yaml')}: resolution is {size[0]}x{size[1]} but {name} is "
-                    f"{real[0]}x{real[1]}; write the calibration of these images"
-                )
-            return
+        sizes = ((name, real) for _, name in stream if (real := self._size_of(cam, name)) is not None)
+        name, real = next(sizes, ("", size))
+        if real != size:
+            raise InputError(
+                f"{self._where(cam, 'sensor.yaml')}: resolution is {size[0]}x{size[1]} but {name} is "
+                f"{real[0]}x{real[1]}; write the calibration of these images"
+            )
 
     def _frames(self) -> Iterator[Frame]:
         for exposure in self._exposures:

@@ -12,7 +12,6 @@ from alight.settings import Settings
 from alight.sources.calibration import load_yaml, read_camchain, rig_camera
 from alight.sources.flight_log import FlightLog
 from alight.sources.frame_times import frame_times
-from alight.sources.images import UNREADABLE, image_size
 
 FRAMES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 
@@ -53,7 +52,7 @@ class FrameFolder(FlightLog):
         return found.rows
 
     def _read_rig(self, settings: Settings) -> Rig:
-        sizes = (size for p in self._files.values() if (size := _size_of(p)) is not None)
+        sizes = (size for name in self._files if (size := self._size_of("cam0", name)) is not None)
         width, height = next(sizes, (0, 0))
         if not width:
             raise InputError(f"{self._root}: not one frame can be read; copy them again")
@@ -84,9 +83,3 @@ class FrameFolder(FlightLog):
                     return path
         return None
 
-
-def _size_of(path: Path) -> tuple[int, int] | None:
-    try:
-        return image_size(path)
-    except UNREADABLE:
-        return None

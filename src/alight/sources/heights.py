@@ -11,7 +11,7 @@ from rasterio.transform import Affine
 from alight.arrays import F64, I64
 from alight.records import InputError
 from alight.records.telemetry import HIGHEST
-from alight.sources.opened_raster import OpenedRaster, read_on
+from alight.sources.opened_raster import OpenedRaster
 from alight.sources.raster_band import Band, band_of_heights
 from alight.sources.raster_plane import RasterPlane, metric_plane
 
@@ -38,7 +38,7 @@ def read_heights(raster: OpenedRaster) -> RasterHeights:
             heights (see `doubt_of_heights`), or no height is known.
     """
     plane, band, dataset = metric_plane(raster), band_of_heights(raster), raster.dataset
-    stored = read_on(raster, [band.number], plane.crs, plane.grid_in_crs(plane.grid))[0]
+    stored = plane.read(raster, band.number)
     metres, whole = band.heights(stored), np.dtype(dataset.dtypes[band.number - 1]).kind in "iu"
     if not np.isfinite(metres).any():
         raise InputError(f"{raster.label}: no height is known; check its nodata value")

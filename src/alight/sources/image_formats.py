@@ -26,32 +26,23 @@ def missing_extra(path: Path) -> MissingExtraError | None:
     return None if find_spec(package) else MissingExtraError(package, extra)
 
 
-def is_raw(path: Path) -> bool:
-    """Whether a file holds raw sensor values, by its suffix."""
-    return EXTRAS.get(path.suffix.lower(), ("", ""))[1] == "raw"
+def extra_of(path: Path) -> str:
+    """Return Alight's extra for a file's format, by its suffix; empty: none is needed."""
+    return EXTRAS.get(path.suffix.lower(), ("PIL", ""))[1]
 
 
-def raw_size(path: Path) -> tuple[int, int]:
-    """Return (width, height) of a raw picture.
-
-    Raises:
-        ValueError: the file is damaged.
-    """
-    with _opened_raw(path) as raw:
-        return int(raw.sizes.width), int(raw.sizes.height)
-
-
-def raw_pixels(path: Path) -> U8:
+def developed(path: Path) -> U8:
     """Develop a raw picture, (H, W, 3) RGB, without rotation and without adjusting its brightness.
 
     Raises:
         ValueError: the file is damaged.
     """
-    with _opened_raw(path) as raw:
+    with opened_raw(path) as raw:
         return np.asarray(raw.postprocess(use_camera_wb=True, no_auto_bright=True, user_flip=0), np.uint8)
 
 
-def _opened_raw(path: Path) -> Any:
+def opened_raw(path: Path) -> Any:
+    """Open a raw picture with rawpy, as a context manager; raise ValueError if the file is damaged."""
     import rawpy
 
     try:
@@ -85,14 +76,14 @@ class Levels(NamedTuple):
 
 
 def levels_of(paths: Sequence[Path]) -> Levels | None:
-    """Determine the levels of a set of similar pictures of more than eight bits; None if no picture can be read.
+    """Determine the levels of a set of similar pictures of more than eight bits, from about 24; None: none can be read.
 
     Up to a thousandth of a picture's pixels, such as hot pixels and reflections, may lie below the lower level, and as
     many above the upper level. In colour, the lower level is 0, because a higher one would change the ratios of
     colours.
     """
     lows, highs = [], []
-    for path in paths:
+    for path in paths[:: -(-len(paths) // 24) or 1]:
         with suppress(ValueError):
             values = _values(path, 512)
             known = values[np.isfinite(values)]

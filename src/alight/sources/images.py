@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,10 +15,9 @@ from PIL import ExifTags, Image, UnidentifiedImageError
 from PIL.TiffImagePlugin import BITSPERSAMPLE, IMAGELENGTH, IMAGEWIDTH, TiffImageFile
 
 from alight.arrays import F32, U8, Mask
-from alight.sources.image_formats import Levels, bits_of, is_raw, raw_pixels, raw_size
+from alight.sources.image_formats import Levels, bits_of, developed, extra_of, opened_raw
 
 Base = ExifTags.Base
-HEIF = (".heic", ".heif", ".hif")
 UNREADABLE = (OSError, UnidentifiedImageError, SyntaxError, ValueError, Image.DecompressionBombError)
 
 
@@ -30,7 +31,7 @@ def open_image(path: Path | BytesIO, formats: tuple[str, ...] | None = None) -> 
     """
     if isinstance(path, Path) and not path.is_file():
         raise OSError("it is no plain file, or a link to nothing")
-    if isinstance(path, Path) and path.suffix.lower() in HEIF:
+    if isinstance(path, Path) and extra_of(path) == "heic":
         from pillow_heif import register_heif_opener
 
         register_heif_opener()
@@ -62,7 +63,10 @@ def read_header(path: Path) -> Header:
             header = Header(stored_size(image), bits_of(image), *_tags(image.getexif()), xmp, tuple(segments))
     except UnidentifiedImageError:
         header = _header_of_tiff(path)
-    return header._replace(size=raw_size(path), bits=8) if is_raw(path) else header
+    if extra_of(path) == "raw":
+        with opened_raw(path) as raw:
+            return header._replace(size=(int(raw.sizes.width), int(raw.sizes.height)), bits=8)
+    return header
 
 
 def _tags(exif: Image.Exif) -> tuple[dict[int, Any], dict[int, Any]]:
@@ -160,9 +164,15 @@ def has_end(jpeg: bytes) -> bool:
     return False
 
 
-def _check_size(stored: tuple[int, int], size: tuple[int, int]) -> None:
-    if stored != size:
-        raise ValueError(f"it is {stored[0]}x{stored[1]}, the camera {size[0]}x{size[1]}")
+@contextmanager
+def _as_value_error(no_image: str) -> Iterator[None]:
+    """Raise errors of opening and decoding as ValueError; `no_image`: reason if the bytes are of no known format."""
+    try:
+        yield
+    except UnidentifiedImageError as e:
+        raise ValueError(no_image) from e
+    except UNREADABLE as e:
+        raise ValueError(str(e)) from e
 
 
 def read_image(path: Path, size: tuple[int, int], levels: Levels | None = None) -> U8:
@@ -179,36 +189,17 @@ def read_image(path: Path, size: tuple[int, int], levels: Levels | None = None) 
     Raises:
         ValueError: the image is truncated, damaged, or of another size.
     """
-    try:
-        pixels, hidden = _decoded(path, size, levels), hidden_pixels(path)
-    except UnidentifiedImageError as e:
-        raise ValueError("it is no image") from e
-    except UNREADABLE as e:
-        raise ValueError(str(e)) from e
+    with _as_value_error("it is no image"):
+        if extra_of(path) == "raw" or levels is not None:
+            _check_size(read_header(path).size, size)
+            pixels = developed(path) if levels is None else levels.eight_bits(path)
+        else:
+            pixels = _decoded(path, size)
+        hidden = hidden_pixels(path)
     if hidden is None:
         return pixels
     values = pixels.astype(np.float32).reshape(*hidden.shape, -1)
     return np.asarray(np.rint(_filled(values, ~hidden)), np.uint8).reshape(pixels.shape)
-
-
-def _decoded(path: Path, size: tuple[int, int], levels: Levels | None) -> U8:
-    """Decode an image as stored, without regard to transparency; see `read_image`."""
-    if is_raw(path) or levels is not None:
-        _check_size(read_header(path).size, size)
-        return raw_pixels(path) if levels is None else levels.eight_bits(path)
-    with open_image(path) as image:
-        _check_size(stored_size(image), size)
-        if isinstance(image, TiffImageFile):
-            return _pixels(_not_turned(path))
-        pixels, jpeg = _pixels(image), image.format in ("JPEG", "MPO")
-    if jpeg:
-        _check_end(path.read_bytes())
-    return pixels
-
-
-def _check_end(jpeg: bytes) -> None:
-    if not has_end(jpeg):
-        raise ValueError("it is truncated: its end is missing")
 
 
 def decode_image(data: bytes, size: tuple[int, int]) -> U8:
@@ -217,14 +208,22 @@ def decode_image(data: bytes, size: tuple[int, int]) -> U8:
     Raises:
         ValueError: the image is truncated, damaged, or of another size.
     """
-    try:
-        with open_image(BytesIO(data), ("JPEG", "PNG")) as image:
-            _check_size(image.size, size)
-            pixels, jpeg = _pixels(image), image.format == "JPEG"
-        if jpeg:
-            _check_end(data)
-    except UnidentifiedImageError as e:
-        raise ValueError("it is no JPEG or PNG") from e
-    except UNREADABLE as e:
-        raise ValueError(str(e)) from e
+    with _as_value_error("it is no JPEG or PNG"):
+        return _decoded(BytesIO(data), size, ("JPEG", "PNG"))
+
+
+def _decoded(source: Path | BytesIO, size: tuple[int, int], formats: tuple[str, ...] | None = None) -> U8:
+    """Decode an image as stored, without regard to transparency; see `open_image` and `read_image`."""
+    with open_image(source, formats) as image:
+        _check_size(stored_size(image), size)
+        if isinstance(source, Path) and isinstance(image, TiffImageFile):
+            return _pixels(_not_turned(source))
+        pixels, jpeg = _pixels(image), image.format in ("JPEG", "MPO")
+    if jpeg and not has_end(source.read_bytes() if isinstance(source, Path) else source.getvalue()):
+        raise ValueError("it is truncated: its end is missing")
     return pixels
+
+
+def _check_size(stored: tuple[int, int], size: tuple[int, int]) -> None:
+    if stored != size:
+        raise ValueError(f"it is {stored[0]}x{stored[1]}, the camera {size[0]}x{size[1]}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import pyproj
@@ -13,9 +12,10 @@ from rasterio.crs import CRS
 from rasterio.transform import Affine
 from rasterio.warp import transform
 
+from alight.arrays import F64
 from alight.geometry import LOCAL_WKT, Grid, LocalFrame
 from alight.records import InputError
-from alight.sources.opened_raster import OpenedRaster, Reference
+from alight.sources.opened_raster import OpenedRaster, Reference, read_on
 
 DRIFT = 0.1  # cells; largest offset of a corner from a grid of square cells with north up
 SCALE_OF_SURVEYS = 1e-3  # greatest deviation from 1 in surveying grids (UTM, state planes), which are treated as metres
@@ -81,6 +81,10 @@ class RasterPlane:
         there = transform(self.crs, local.crs, *corners)
         return bool(np.abs(np.subtract(there, corners)).max() < DRIFT * self.grid.cell)
 
+    def read(self, raster: OpenedRaster, band: int) -> F64:
+        """Read a band (number from 1) of the plane's own raster, (R, C) as stored, turned to north up."""
+        return np.asarray(read_on(raster, [band], self.crs, self.grid_in_crs(self.grid))[0])
+
     def grid_in_crs(self, grid: Grid) -> Grid:
         """Convert a grid from metres to units of the coordinate system."""
         east, north = self.in_crs(grid.east, grid.north)
@@ -116,20 +120,16 @@ def metric_plane(raster: OpenedRaster) -> RasterPlane:
         raise InputError(
             f"{raster.label}: lies at {own.east:g}, {own.north:g}, which is nowhere; check it: gdal_edit.py -a_ullr"
         )
-    return _in_metres(own, reference, _projection(raster, own) if reference.on_earth else _Projection(1.0, 0.0))
+    return _in_metres(own, reference, *(_projection(raster, own) if reference.on_earth else (1.0, 0.0)))
 
 
-class _Projection(NamedTuple):
-    scale: float  # map length of one metre on the ground, at the raster's middle
-    turn: float  # degrees from true north to grid north
-
-
-def _in_metres(own: Grid, reference: Reference, projection: _Projection) -> RasterPlane:
-    scale, corrected = projection.scale, abs(projection.scale - 1.0) > SCALE_OF_SURVEYS
+def _in_metres(own: Grid, reference: Reference, scale: float, turn: float) -> RasterPlane:
+    """Return the plane of a grid, from point scale and convergence (see `_projection`)."""
+    corrected = abs(scale - 1.0) > SCALE_OF_SURVEYS
     name = "no coordinate system" if reference.plane is None else reference.plane.name
     settled = f"{name}, cells of {own.cell:.6g} "
     settled += "m" if reference.unit == 1.0 or reference.plane is None else reference.plane.axis_info[0].unit_name
-    north = f", grid north is {projection.turn:.0f} deg off true north" if round(projection.turn) else ""
+    north = f", grid north is {turn:.0f} deg off true north" if round(turn) else ""
     metres = reference.unit / (scale if corrected else 1.0)
     if metres == 1.0:
         return RasterPlane(own, reference, settled + north)
@@ -141,8 +141,10 @@ def _in_metres(own: Grid, reference: Reference, projection: _Projection) -> Rast
     return RasterPlane(grid, reference, settled + north, x, y, metres)
 
 
-def _projection(raster: OpenedRaster, own: Grid) -> _Projection:
-    """Compute the point scale (Tissot's indicatrix) and convergence in the middle of `own`, the raster's own grid.
+def _projection(raster: OpenedRaster, own: Grid) -> tuple[float, float]:
+    """Return the point scale, map length of one metre on the ground, and the degrees from true north to grid north.
+
+    They are those in the middle of `own`, the raster's own grid (Tissot's indicatrix).
 
     Raises:
         InputError: the projection cannot be used there, or the point scale varies too much.
@@ -170,7 +172,7 @@ def _projection(raster: OpenedRaster, own: Grid) -> _Projection:
             f"place or direction; mend it with: {_to_utm(raster, float(lon[1, 1]), float(lat[1, 1]))}"
         )
     middle = float(np.sqrt(large[1, 1] * small[1, 1]))
-    return _Projection(middle, float(np.asarray(tissot.meridian_convergence)[1, 1]))
+    return middle, float(np.asarray(tissot.meridian_convergence)[1, 1])
 
 
 def _to_utm(raster: OpenedRaster, lon: float, lat: float) -> str:

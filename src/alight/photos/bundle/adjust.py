@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
+from scipy import sparse
 from scipy.spatial import cKDTree
 
 from alight.arrays import F64, I64, Mask
@@ -22,7 +23,7 @@ from alight.photos.bundle.matching import BundleObservations, Pair, match_pairs,
 from alight.photos.bundle.orientation import first_poses
 from alight.photos.bundle.patch_matching import refine_observations
 from alight.photos.bundle.priors import corrected_priors, levelled, make_priors, observable_lens, one_compass
-from alight.photos.bundle.rounds import ROUNDS, coarse_rounds, one_round, resect, retriangulate
+from alight.photos.bundle.rounds import ROUNDS, coarse_rounds, do_rounds, resect, retriangulate
 from alight.photos.bundle.solver import Adjustment, BundleState, Priors, residuals
 from alight.photos.bundle.summary import (
     LEAST_OBSERVED,
@@ -124,9 +125,9 @@ def solve_bundle(
         lost = np.setdiff1d(aside, placed)
         few, most = (o.without(lost) for o in (few, most))
         photos = np.setdiff1d(photos, lost)
-        state = one_round(state, few, priors, *ROUNDS[-2])
+        state = do_rounds(state, few, priors, ROUNDS[-2])
     loss, cut = ROUNDS[-1]
-    state = one_round(state, most, priors, loss, cut)
+    state = do_rounds(state, most, priors, ROUNDS[-1])
     progress(0.75)
     at, finer = retriangulate(state, most, priors, cut, loss)
     finer = refine_observations(at, finer, priors, frames) if frames else finer
@@ -136,8 +137,9 @@ def solve_bundle(
     last = Adjustment(used, priors, sigmas, loss)
     state = last.solve(state, 30)
     joint, score = last.covariance(state), score_focal(used, priors, sigmas, loss, state)
-    if first.climbs:
-        joint = _of_no_height(joint, tagged.centres[:, 2])
+    if first.climbs:  # all photos share a height error: the scatter of the altitude tags
+        up = 6 * np.arange(len(priors.centres)) + 2
+        joint[np.ix_(up, up)] += float(np.nanmean((tagged.centres[:, 2] - np.nanmedian(tagged.centres[:, 2])) ** 2))
     state, every = retriangulate(state, finer, priors, cut, loss)
     enough = np.bincount(every.photo, minlength=len(priors.centres)) >= LEAST_OBSERVED
     registered = np.intersect1d(photos, np.flatnonzero(enough & fixed_attitudes(joint, len(priors.centres))))
@@ -155,13 +157,6 @@ def _pixel_sigmas(residual: F64, by_patch: Mask) -> F64:
     for which, least in ((~by_patch, 0.3), (by_patch, 0.1)):
         out[which] = max(least, robust_sigma(residual[which])) if which.any() else least
     return out
-
-
-def _of_no_height(joint: F64, tags: F64) -> F64:
-    """Return the covariance `joint` plus a height error that all photos share: the scatter of altitude `tags` (n,)."""
-    joint, up = joint.copy(), 6 * np.arange(len(tags)) + 2
-    joint[np.ix_(up, up)] += float(np.nanmean((tags - np.nanmedian(tags)) ** 2))
-    return joint
 
 
 def select(obs: BundleObservations, cap: int) -> BundleObservations:
@@ -238,26 +233,14 @@ def confirmed(points: F64, photos: I64, above: float) -> Mask:
 
 def joint_of(motions: list[Motion], priors: Priors, solved: Solved) -> KeyframePosterior:
     """Return the posterior of the registered poses and the free lens parameters, the latter in units of their sigma."""
-    rows = (6 * solved.registered[:, None] + np.arange(6)).ravel()
-    free = np.flatnonzero(solved.free)
-    start = 6 * len(priors.centres)
-    sigma = np.sqrt(np.diag(solved.joint)[start:])
-    move = np.array([_about_body(m) for m in motions])
-    rows = np.concatenate([rows, start + np.arange(len(free))])
-    off = [solved.state.lens + s * np.eye(len(solved.state.lens))[k] for k, s in zip(free, sigma, strict=True)]
-    once = _moved(solved.joint[np.ix_(rows, rows)], move, sigma)
-    covariance = _moved(np.ascontiguousarray(once.T), move, sigma)
     order = np.argsort([m.t_ns for m in motions], kind="stable")
-    rows = np.concatenate([(6 * order[:, None] + np.arange(6)).ravel(), np.arange(6 * len(order), len(covariance))])
-    lenses = tuple(priors.lenses.moved(lens).cameras for lens in off)
-    return KeyframePosterior(tuple(motions[i] for i in order), covariance[np.ix_(rows, rows)], lenses)
-
-
-def _moved(rows: F64, move: F64, sigma: F64) -> F64:
-    """Return rows of a joint covariance, pose rows multiplied by `move` (k, 6, 6) and lens rows divided by `sigma`."""
-    n = 6 * len(move)
-    poses = np.matmul(move, rows[:n].reshape(len(move), 6, -1)).reshape(n, -1)
-    return np.concatenate([poses, rows[n:] / sigma[:, None]])
+    motions, free, start = [motions[i] for i in order], np.flatnonzero(solved.free), 6 * len(priors.centres)
+    sigma = np.sqrt(np.diag(solved.joint)[start:])
+    rows = np.append(6 * solved.registered[order][:, None] + np.arange(6), start + np.arange(len(free)))
+    turned = sparse.block_diag([*map(_about_body, motions), *(1.0 / s for s in sigma)], format="csr")
+    covariance = turned @ (turned @ solved.joint[np.ix_(rows, rows)]).T
+    off = [solved.state.lens + s * np.eye(len(solved.state.lens))[k] for k, s in zip(free, sigma, strict=True)]
+    return KeyframePosterior(tuple(motions), covariance, tuple(priors.lenses.moved(lens).cameras for lens in off))
 
 
 def _about_body(motion: Motion) -> F64:

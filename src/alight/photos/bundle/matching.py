@@ -94,23 +94,12 @@ def match_descriptors(a: F32, b: F32) -> I64:
     """Match unit descriptors (K, 128) and (L, 128) by mutual best match and ratio test; return indices (M, 2)."""
     if len(a) < 2 or len(b) < 2:
         return np.empty((0, 2), dtype=np.int64)
-    block = 1024  # rows matched at once, to bound the table of descriptor products
-    best = np.empty(len(a), dtype=np.int64)
-    first, second = np.empty(len(a), dtype=np.float32), np.empty(len(a), dtype=np.float32)
-    back = np.full(len(b), -2.0, dtype=np.float32)
-    for start in range(0, len(a), block):
-        score = a[start : start + block] @ b.T
-        rows = slice(start, start + len(score))
-        at = np.arange(len(score))
-        np.maximum(back, score.max(axis=0), out=back)
-        best[rows] = score.argmax(axis=1)
-        first[rows] = score[at, best[rows]]
-        score[at, best[rows]] = -2.0
-        second[rows] = score.max(axis=1)
-    mutual = first == back[best]
-    clear = 1.0 - first < _RATIO**2 * (1.0 - second)
-    i = np.flatnonzero(mutual & clear)
-    return np.stack([i, best[i]], axis=1)
+    score = a @ b.T
+    rows, best = np.arange(len(a)), score.argmax(axis=1)
+    first, mutual = score[rows, best], score.argmax(axis=0)[best] == rows
+    score[rows, best] = -2.0
+    clear = 1.0 - first < _RATIO**2 * (1.0 - score.max(axis=1))
+    return np.stack([rows, best], axis=1)[mutual & clear]
 
 
 def verify(

@@ -180,6 +180,12 @@ class _Baselines:
         """Return the (q,) squared misfits under `world_from_frame` R, in sigmas."""
         return np.asarray(((self.world - self.frame @ R.T) ** 2).sum(axis=1) / self.noise**2)
 
+    @property
+    def in_line(self) -> bool:
+        """Whether all directions are those of one line."""
+        spread = np.linalg.svd(self.world, compute_uv=False)
+        return len(spread) < 2 or bool(spread[1] < 0.1 * spread[0])
+
     def aligned(self) -> F64:
         """Return the best-fitting `world_from_frame`, with Cauchy weights (Wahba's problem)."""
         weight = 1.0 / self.noise**2
@@ -191,17 +197,15 @@ class _Baselines:
 
 def _baselines(photos: I64, frame_from_cam: F64, pairs: Sequence[Pair], centres: F64, sigma: F64) -> _Baselines:
     slot = {int(p): s for s, p in enumerate(photos)}
-    ends, world, frame, noise = [], [], [], []
-    for p in pairs:
-        b = centres[p.j] - centres[p.i]
-        length = float(np.linalg.norm(b))
-        if p.i in slot and np.isfinite(length) and length > 1e-6 and p.direction.any():
-            ends.append((p.i, p.j))
-            world.append(b / length)
-            frame.append(frame_from_cam[slot[p.i]] @ p.direction)
-            noise.append(np.hypot(_DIRECTION_SIGMA, 1.5 * float(np.linalg.norm(sigma[[p.i, p.j]])) / length))
-    by_gps, by_images = np.array(world).reshape(-1, 3), np.array(frame).reshape(-1, 3)
-    return _Baselines(np.array(ends, dtype=np.int64).reshape(-1, 2), by_gps, by_images, np.array(noise))
+    own = [p for p in pairs if p.i in slot and p.direction.any()]
+    ends = np.array([(p.i, p.j) for p in own], dtype=np.int64).reshape(-1, 2)
+    frame = np.array([frame_from_cam[slot[p.i]] @ p.direction for p in own]).reshape(-1, 3)
+    way = centres[ends[:, 1]] - centres[ends[:, 0]]
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    used = length[:, 0] > 1e-6  # False for NaN
+    ends, frame, way, length = ends[used], frame[used], way[used], length[used]
+    noise = np.hypot(_DIRECTION_SIGMA, 1.5 * np.linalg.norm(sigma[ends], axis=(1, 2)) / length[:, 0])
+    return _Baselines(ends, way / length, frame, noise)
 
 
 def _jumped(base: _Baselines, R: F64) -> I64:
@@ -250,14 +254,9 @@ def _orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal
     world_from_cam[agrees] = tags[agrees]
     world_from_cam[turned] = tags[turned] @ HALF_TURN
     return _Oriented(
-        photos, world_from_cam, photos[turned], photos[wrong], _jumped(base, R), not tagged.any() and _in_line(base),
+        photos, world_from_cam, photos[turned], photos[wrong], _jumped(base, R), not tagged.any() and base.in_line,
         cost, len(base.noise), heading,
     )  # fmt: skip
-
-
-def _in_line(base: _Baselines) -> bool:
-    spread = np.linalg.svd(base.world, compute_uv=False) if len(base.world) else np.zeros(0)
-    return len(spread) < 2 or bool(spread[1] < 0.1 * spread[0])
 
 
 def _world_from_frame(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tuple[int, ...], sigma: float) -> F64:

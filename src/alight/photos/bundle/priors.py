@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from alight.arrays import F64, I64, Mask
+from alight.arrays import F64, I64
 from alight.geometry import Camera
 from alight.photos.bundle.lenses import PhotoLenses
 from alight.photos.bundle.solver import Priors
@@ -24,7 +24,7 @@ _SIGMA_LENS = {  # 1-sigma of scale, if the focal length is free, aspect, cu, cv
     "radial-tangential": (0.02, 0.0, 10.0, 10.0, 0.05, 0.1, 0.002, 0.002, 0.2),
     "equidistant": (0.02, 0.0, 10.0, 10.0) + (0.02,) * 4,
 }
-_SIGMA_RATE = 0.2  # rad/s, 1-sigma of the rotation of a camera without a gimbal
+SIGMA_RATE = 0.2  # rad/s, 1-sigma of the rotation of a camera without a gimbal
 _SIGMA_READOUT = 0.05  # s, 1-sigma; cheap cameras take 20 to 160 ms, which is 0.2 to 2 m of flight
 COMMON_HEADING = 0.5  # rad, 1-sigma of the common error of all headings; some compasses are off by 0.9 rad
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # half a turn about the optical axis
@@ -149,16 +149,11 @@ def rolling_priors(priors: Priors, centres: F64, seconds: F64) -> Priors:
     return replace(priors, sigma_lens=sigma, velocity=velocity)
 
 
-def turning_priors(priors: Priors, readouts: tuple[float, ...]) -> Priors:
-    """Return priors that let the photos rotate during the readout, with fixed readout times (s, one per camera)."""
-    return replace(at_once(priors), sigma_turn=_SIGMA_RATE * max(abs(r) for r in readouts))
-
-
-def at_once(priors: Priors) -> Priors:
-    """Return priors with fixed readout times, and without rotation of the photos during the readout."""
+def at_once(priors: Priors, sigma_turn: float = 0.0) -> Priors:
+    """Return priors with fixed readout times; `sigma_turn`: rad, 1-sigma of a photo's rotation during the readout."""
     sigma = priors.sigma_lens.copy()
     sigma[priors.lenses.readout_numbers] = 0.0
-    return replace(priors, sigma_lens=sigma, sigma_turn=0.0)
+    return replace(priors, sigma_lens=sigma, sigma_turn=sigma_turn)
 
 
 def velocities(centres: F64, seconds: F64, camera: I64) -> F64:
@@ -181,20 +176,10 @@ def velocities(centres: F64, seconds: F64, camera: I64) -> F64:
         long = np.linalg.norm(way, axis=1)
         good = (time > 0) & (time <= 60.0) & (long > 1.0) & (long <= 60.0 * time)
         for k, i in enumerate(who):
-            out[i] = _between(k - 1, k, way, time, good)
+            legs = [(way[j], time[j], long[j]) for j in (k - 1, k) if 0 <= j < len(good) and good[j]]
+            if len(legs) == 2 and legs[0][0] @ legs[1][0] > 0.8 * legs[0][2] * legs[1][2]:  # the same direction
+                out[i] = (legs[0][0] + legs[1][0]) / (legs[0][1] + legs[1][1])
+            elif legs:
+                out[i] = max((leg / t for leg, t, _ in legs), key=lambda v: float(v @ v))
     return out
 
-
-def _between(before: int, after: int, way: F64, time: F64, good: Mask) -> F64:
-    """Return the velocity (3,) in m/s between the legs `before` and `after`, by the good ones; 0 if neither is good.
-
-    `way` (q, 3) in m, `time` (q,) in s and `good` (q,) are of all legs.
-    """
-    used = [k for k in (before, after) if 0 <= k < len(good) and good[k]]
-    speed = [way[k] / time[k] for k in used]
-    if len(used) == 2:
-        a, b = (v / np.linalg.norm(v) for v in speed)
-        if float(a @ b) > 0.8:  # the same direction
-            return np.asarray((way[used[0]] + way[used[1]]) / (time[used[0]] + time[used[1]]))
-        return np.asarray(speed[int(np.argmax([np.linalg.norm(v) for v in speed]))])
-    return np.asarray(speed[0]) if speed else np.zeros(3)

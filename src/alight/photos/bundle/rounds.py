@@ -16,7 +16,7 @@ from alight.arrays import F64, I64
 from alight.geometry import Camera
 from alight.photos.bundle.features import colmap, colmap_camera
 from alight.photos.bundle.matching import BundleObservations
-from alight.photos.bundle.priors import at_once, rolling_priors, turning_priors
+from alight.photos.bundle.priors import SIGMA_RATE, at_once, rolling_priors
 from alight.photos.bundle.solver import (
     Adjustment,
     BundleState,
@@ -50,16 +50,16 @@ def coarse_rounds(
     """
     held = replace(priors, sigma_lens=np.zeros_like(priors.sigma_lens))
     few = few.without(aside)
-    for k, (loss, cut) in enumerate(ROUNDS[:_LENS_ROUND]):
-        state = one_round(state, few, held, loss, cut)
+    for k in range(_LENS_ROUND):
+        state = do_rounds(state, few, held, ROUNDS[k])
         progress(0.15 * (k + 1))
     loss, cut = ROUNDS[_LENS_ROUND]
     more = misplaced(few, retriangulate(state, few, priors, cut, loss)[1], len(priors.centres))
     if len(more):
         aside, few = np.union1d(aside, more), few.without(more)
-        state = one_round(state, few, held, *ROUNDS[_LENS_ROUND - 1])
+        state = do_rounds(state, few, held, ROUNDS[_LENS_ROUND - 1])
     if seconds is None or not (priors.sigma_lens.any() or any(r is not None for r in priors.lenses.by_maker)):
-        state = _lens_rounds(state, few, priors)
+        state = do_rounds(state, few, priors, *ROUNDS[_LENS_ROUND:-1])
     else:
         seconds = seconds.copy()
         seconds[aside] = np.nan  # their positions are not known yet
@@ -69,12 +69,6 @@ def coarse_rounds(
     return state, priors, aside
 
 
-def _lens_rounds(state: BundleState, obs: BundleObservations, priors: Priors) -> BundleState:
-    for loss, cut in ROUNDS[_LENS_ROUND:-1]:
-        state = one_round(state, obs, priors, loss, cut)
-    return state
-
-
 def _by_rows(first: BundleState, obs: BundleObservations, priors: Priors) -> tuple[BundleState, Priors]:
     """Do the rounds with a free lens from the state `first`, and choose the rolling shutter; return state and priors.
 
@@ -82,7 +76,7 @@ def _by_rows(first: BundleState, obs: BundleObservations, priors: Priors) -> tup
     is treated as none. Rotations are used only if they lower the cost much more than by chance, with a fixed readout
     time, because a rotation looks much like a translation over level ground.
     """
-    state = _lens_rounds(first, obs, priors)
+    state = do_rounds(first, obs, priors, *ROUNDS[_LENS_ROUND:-1])
     lenses, photos = priors.lenses.moved(state.lens), np.unique(obs.photo)
     points = triangulate_bundle(state, obs, priors)
     depth = np.linalg.norm(points[obs.point] - state.centres[obs.photo], axis=1)
@@ -95,8 +89,8 @@ def _by_rows(first: BundleState, obs: BundleObservations, priors: Priors) -> tup
     log.info("readout %s s: rows move by %.1f px", lenses.readouts, rolls)
     lens[:] = first.lens
     lens[at] = state.lens[at]
-    turning = turning_priors(priors, lenses.readouts)
-    turned = _lens_rounds(replace(first, lens=lens), obs, turning)
+    turning = at_once(priors, SIGMA_RATE * max(abs(r) for r in lenses.readouts))
+    turned = do_rounds(replace(first, lens=lens), obs, turning, *ROUNDS[_LENS_ROUND:-1])
     gain = (_misfit(state, obs, priors) - _misfit(turned, obs, turning)) / len(photos)
     log.info("turning while read out: gain %.0f a photo", gain)
     return (turned, turning) if gain > _GAIN else (state, priors)
@@ -109,13 +103,16 @@ def _misfit(state: BundleState, obs: BundleObservations, priors: Priors) -> floa
     return cost * len(obs.photo) / max(len(used.photo), 1)
 
 
-def one_round(state: BundleState, obs: BundleObservations, priors: Priors, loss: float, cut: float) -> BundleState:
-    """Triangulate, remove outliers beyond `cut` px, and adjust with Cauchy scale `loss` px; return the new state."""
-    state, used = retriangulate(state, obs, priors, cut, loss)
-    if len(used.photo):
-        state = Adjustment(used, priors, np.ones(len(used.photo)), loss).solve(state, 15, 1e-4)
-        left = float(np.median(np.abs(residuals(state, used, priors))))
-        log.info("cut %g px: %d observations, median %.2f px", cut, len(used.photo), left)
+def do_rounds(
+    state: BundleState, obs: BundleObservations, priors: Priors, *rounds: tuple[float, float]
+) -> BundleState:
+    """Return the state after rounds of `ROUNDS`: each triangulates, removes outliers beyond its cut, and adjusts."""
+    for loss, cut in rounds:
+        state, used = retriangulate(state, obs, priors, cut, loss)
+        if len(used.photo):
+            state = Adjustment(used, priors, np.ones(len(used.photo)), loss).solve(state, 15, 1e-4)
+            left = float(np.median(np.abs(residuals(state, used, priors))))
+            log.info("cut %g px: %d observations, median %.2f px", cut, len(used.photo), left)
     return state
 
 

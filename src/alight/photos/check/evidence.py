@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from alight.arrays import F64, I64, U8, Mask
-from alight.checks.features import LEAST_FEATURES, downscaled, full_size
+from alight.checks.features import LEAST_FEATURES, downscaled, full_size, match_pictures
 from alight.checks.picture_quality import Brightness, brightness_of, edge_widths
-from alight.geometry import enu_from_flu
+from alight.geometry import Camera, enu_from_flu
 from alight.photos.reading.photo_pose import BODY_FROM_CAM
 from alight.photos.reading.photos import Photos, UsedPhoto
 from alight.spread import robust_sigma
 
 SAMPLE = 8  # pairs of neighbours, spread over the set, whose pictures are read
 MATCHED_PX = 800  # longer side at which neighbours are matched
-NADIR = np.cos(np.radians(15.0))
+SHARP_PX = 1200  # side of the middle part whose sharpness is measured
 
 
 class NeighbourPair(NamedTuple):
@@ -45,11 +45,14 @@ class PhotoEvidence:
     poses: F64  # (n, 3, 3) world_from_cam by the tags, else looking down with the top along the flight
     centres: F64  # (n, 3) metres; NaN: unknown
 
+    def lens(self, number: int) -> Camera:
+        """Return the lens of an exposure by its index."""
+        return self.source.rig.cameras[self.exposures[number].camera].camera
+
     @property
     def above(self) -> F64:
         """(n,) metres above take-off by the tags; NaN: unknown."""
-        heights = [e.tags.relative_altitude for e in self.exposures]
-        return np.array([np.nan if h is None else h for h in heights])
+        return np.array([e.tags.relative_altitude for e in self.exposures], np.float64)
 
     @property
     def measured(self) -> float:
@@ -76,9 +79,8 @@ class PhotoEvidence:
 def gather_photos(source: Photos, progress: Callable[[float], None]) -> PhotoEvidence:
     """Read a sample of the pictures, and match each with a neighbour; `progress` receives the completed share."""
     exposures = source.exposures
-    centres = np.array(
-        [np.full(3, np.nan) if e.nav.position_world is None else e.nav.position_world for e in exposures]
-    )
+    places = (e.nav.position_world for e in exposures)
+    centres = np.array([np.full(3, np.nan) if place is None else place for place in places])
     found = PhotoEvidence(exposures, source, [], np.empty((0, 2)), [], [], _poses(exposures, centres), centres)
     chosen = np.unique(np.linspace(0, len(exposures) - 1, SAMPLE).astype(int))
     widths, sampled = list[F64](), dict[int, U8 | None]()
@@ -93,7 +95,8 @@ def gather_photos(source: Photos, progress: Callable[[float], None]) -> PhotoEvi
             found.unread.append(f"{exposures[number].tags.path.name}: {e}")
             return None
         found.brightness.append(brightness_of(pixels))
-        widths.append(edge_widths(_middle(pixels)))
+        top, left = (max(0, (n - SHARP_PX) // 2) for n in pixels.shape[:2])
+        widths.append(edge_widths(np.ascontiguousarray(pixels[top : top + SHARP_PX, left : left + SHARP_PX])))
         sampled[number] = downscaled(pixels, MATCHED_PX)[0]
         return sampled[number]
 
@@ -103,12 +106,7 @@ def gather_photos(source: Photos, progress: Callable[[float], None]) -> PhotoEvi
         if other is not None and a is not None and b is not None:
             found.pairs.append(_matched(found, (int(first), other), (a, b)))
         progress((k + 1) / len(chosen))
-    return PhotoEvidence(**{**vars(found), "edges": np.array(widths).reshape(-1, 2)})
-
-
-def _middle(picture: U8, side: int = 1200) -> U8:
-    top, left = (max(0, (n - side) // 2) for n in picture.shape[:2])
-    return np.ascontiguousarray(picture[top : top + side, left : left + side])
+    return replace(found, edges=np.array(widths).reshape(-1, 2))
 
 
 def _neighbour(number: int, centres: F64) -> int | None:
@@ -119,12 +117,10 @@ def _neighbour(number: int, centres: F64) -> int | None:
     if len(centres) < 2:
         return None
     next_one = number + 1 if number + 1 < len(centres) else number - 1
-    away = np.linalg.norm(centres - centres[number], axis=1)
+    away = np.nan_to_num(np.linalg.norm(centres - centres[number], axis=1), nan=np.inf)
     away[number] = np.inf
-    if not np.isfinite(away[next_one]):
-        return next_one
-    nearest = int(np.nanargmin(away))
-    return nearest if away[nearest] < 0.5 * away[next_one] else next_one
+    nearest = int(away.argmin())
+    return nearest if away[nearest] < 0.5 * away[next_one] < np.inf else next_one
 
 
 def _poses(exposures: list[UsedPhoto], centres: F64) -> F64:
@@ -141,25 +137,16 @@ def _poses(exposures: list[UsedPhoto], centres: F64) -> F64:
 
 
 def _matched(found: PhotoEvidence, numbers: tuple[int, int], small: tuple[U8, U8]) -> NeighbourPair:
-    sift = cv2.SIFT.create(1500)
-    (points, table), (others, its_table) = (sift.detectAndCompute(s, None) for s in small)
+    lens, its = lenses = [found.lens(k) for k in numbers]
+    factors = [-(-max(c.width, c.height) // MATCHED_PX) for c in lenses]
+    a, b = (full_size(p, k) for p, k in zip(match_pictures(*small), factors, strict=True))
     nothing = NeighbourPair(*numbers, 0, np.nan, np.nan)
-    if min(len(points), len(others)) < LEAST_FEATURES:
+    if len(a) < LEAST_FEATURES:
         return nothing
-    near = cv2.BFMatcher().knnMatch(table, its_table, 2)
-    good = [a for a, b in near if a.distance < 0.75 * b.distance]
-    if len(good) < LEAST_FEATURES:
-        return nothing
-    lenses = [found.source.rig.cameras[found.exposures[k].camera].camera for k in numbers]
-    factors = [-(-max(lens.width, lens.height) // MATCHED_PX) for lens in lenses]
-    a = full_size(np.array([points[m.queryIdx].pt for m in good]), factors[0])
-    b = full_size(np.array([others[m.trainIdx].pt for m in good]), factors[1])
     H, inside = cv2.findHomography(a, b, cv2.RANSAC, 4.0 * factors[1])  # relief shifts features by pixels
     if H is None or inside.sum() < LEAST_FEATURES:
         return nothing
-    lens, its = lenses
-    corners = np.array([[0, 0], [lens.width, 0], [lens.width, lens.height], [0, lens.height]], np.float32)
-    frame = np.array([[0, 0], [its.width, 0], [its.width, its.height], [0, its.height]], np.float32)
+    corners, frame = (np.array([[0, 0], [c.width, 0], [c.width, c.height], [0, c.height]], np.float32) for c in lenses)
     back = cv2.perspectiveTransform(frame[None], np.linalg.inv(H)).astype(np.float32)
     shared = cv2.intersectConvexConvex(corners, back[0])[0] if cv2.isContourConvex(back[0]) else np.nan
     ray = its.rays(cv2.perspectiveTransform(np.array([[[lens.cu, lens.cv]]]), H)[0])[0]
@@ -177,7 +164,7 @@ def _height(found: PhotoEvidence, numbers: tuple[int, int], ray: F64) -> float:
     i, j = numbers
     down = np.nan_to_num(found.down[[i, j]], nan=1.0)
     way = (found.centres[i] - found.centres[j]) * [1.0, 1.0, 0.0]  # without altitudes, which are wrong too often
-    if not (down > NADIR).all() or not np.linalg.norm(way) > 1.0:
+    if not (down > np.cos(np.radians(15.0))).all() or not np.linalg.norm(way) > 1.0:
         return np.nan
     axis, base = found.poses[j].T @ (found.poses[i][:, 2] / down[0]), found.poses[j].T @ way
     turned, moved = (np.linalg.norm(v[:2] - ray[:2] / ray[2] * v[2]) for v in (axis, base))
@@ -197,25 +184,22 @@ def coverage(found: PhotoEvidence, height: float) -> Coverage:
     chosen = known[:: max(1, len(known) // 400)]
     views, along = list[int](), list[float]()
     for k in chosen:
-        lens = found.source.rig.cameras[found.exposures[k].camera].camera
+        lens = found.lens(k)
         grid = np.stack(np.meshgrid((np.arange(9) + 0.5) / 9 * lens.width, (np.arange(9) + 0.5) / 9 * lens.height), -1)
         rays = lens.rays(grid.reshape(-1, 2)) @ found.poses[k].T
         ground = found.centres[k] - rays * (height / rays[:, 2:])
         ground = ground[rays[:, 2] < -0.1]
         middle = found.centres[k] - found.poses[k][:, 2] * (height / found.poses[k][2, 2])
-        views.append(sum(bool(_shows(found, j, middle[None])[0]) for j in known if _near(found, k, j, height)))
+        near = (j for j in known if np.abs(found.centres[k, :2] - found.centres[j, :2]).max() < 4.0 * height)
+        views.append(sum(bool(_shows(found, j, middle[None])[0]) for j in near))
         later = next((j for j in known if j > k), None)
         if later is not None and len(ground):
             along.append(float(_shows(found, later, ground).mean()))
     return Coverage(np.array(along), np.array(views, dtype=np.int64))
 
 
-def _near(found: PhotoEvidence, k: int, j: int, height: float) -> bool:
-    return float(np.abs(found.centres[k, :2] - found.centres[j, :2]).max()) < 4.0 * height
-
-
 def _shows(found: PhotoEvidence, number: int, ground: F64) -> Mask:
-    lens = found.source.rig.cameras[found.exposures[number].camera].camera
+    lens = found.lens(number)
     seen = (ground - found.centres[number]) @ found.poses[number]
     pixels = lens.project(np.where(seen[:, 2:] > 0, seen, np.nan))
     with np.errstate(invalid="ignore"):

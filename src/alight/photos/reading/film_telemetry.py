@@ -13,6 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.photos.reading.agreement import METRES_A_DEGREE
+
 BETWEEN = ("latitude", "longitude", "abs_alt", "rel_alt")  # interpolated values
 
 
@@ -72,26 +74,16 @@ class FilmTelemetry:
     def at(self, seconds: float) -> TelemetryRow | None:
         """Interpolate positions and heights at a time, s; None outside the rows, and in gaps over 2 s and 3 steps."""
         k = bisect_right(self.seconds, seconds + 1e-6) - 1  # s: times are written in milliseconds at best
-        reach = max(2.0, 3.0 * self.step)
-        if k < 0 or seconds - self.seconds[k] > (reach if k + 1 < len(self.rows) else self.step):
-            near = k < 0 and self.seconds[0] - seconds <= self.step
-            return self._moved(self.rows[0], seconds) if near else None
-        row = self.rows[k]
-        if k + 1 == len(self.rows) or seconds <= row.seconds:
-            return self._moved(row, seconds)
-        later = self.rows[k + 1]
-        if later.seconds - row.seconds > reach:
+        row, later = self.rows[max(k, 0)], self.rows[min(k + 1, len(self.rows) - 1)]
+        away, gap = seconds - row.seconds, later.seconds - row.seconds  # no gap before the first row and after the last
+        if abs(away) > self.step if gap == 0 else away > 0 and gap > max(2.0, 3.0 * self.step):
             return None
-        share = (seconds - row.seconds) / (later.seconds - row.seconds)
+        share = away / gap if gap and away > 0 else 0.0
         between = {n: row.values[n] + share * _difference(row, later, n)
                    for n in BETWEEN if n in row.values and n in later.values}  # fmt: skip
-        return self._moved(replace(row, values=row.values | between), seconds)
-
-    def _moved(self, row: TelemetryRow, seconds: float) -> TelemetryRow:
-        """Return `row` with the time `seconds`, and with the date that follows from the date of the first row."""
-        first = self.rows[0]
-        taken = None if first.taken is None else first.taken + timedelta(seconds=seconds - first.seconds)
-        return replace(row, seconds=seconds, taken=taken)
+        first = self.rows[0].taken
+        taken = None if first is None else first + timedelta(seconds=seconds - self.seconds[0])
+        return replace(row, seconds=seconds, values=row.values | between, taken=taken)
 
     def path(self) -> NDArray[np.complex128]:
         """Return the (N,) path from the first row in metres, east + 1j north.
@@ -108,10 +100,8 @@ class FilmTelemetry:
 
 def apart(a: TelemetryRow, b: TelemetryRow) -> complex:
     """Return the vector from row `a` to row `b` in metres, east + 1j north."""
-    assert a.place is not None
-    scale = 111_194.0  # m per degree
-    east = math.cos(math.radians(a.place[0])) * _difference(a, b, "longitude")
-    return scale * complex(east, _difference(a, b, "latitude"))
+    east = math.cos(math.radians(a.values["latitude"])) * _difference(a, b, "longitude")
+    return METRES_A_DEGREE * complex(east, _difference(a, b, "latitude"))
 
 
 def _difference(a: TelemetryRow, b: TelemetryRow, name: str) -> float:

@@ -11,7 +11,7 @@ from pathlib import Path
 from alight.documents import LARGEST_JSON, DocumentError, read_bytes
 from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow
 from alight.photos.reading.gpmf import read_gpmf
-from alight.photos.reading.subtitles import read_subtitles
+from alight.photos.reading.subtitles import Subtitle, read_subtitles, subtitles_in, telemetry_of
 from alight.records import InputError
 
 SUBTITLES = (".srt", ".ass", ".vtt")
@@ -53,18 +53,16 @@ def read_gpx(text: str, source: str) -> FilmTelemetry:
         points = ET.fromstring(text).iterfind(".//{*}trkpt")
         timed = [(datetime.fromisoformat(t.strip()), p) for p in points if (t := p.findtext("{*}time"))]
         timed = [(at if at.tzinfo else at.replace(tzinfo=UTC), p) for at, p in timed]
-        rows = [TelemetryRow((at - timed[0][0]).total_seconds(), _values(p), at) for at, p in timed]
+        rows = []
+        for at, p in timed:
+            written = {"latitude": p.attrib["lat"], "longitude": p.attrib["lon"], "abs_alt": p.findtext("{*}ele")}
+            values = {name: float(text) for name, text in written.items() if text}
+            rows.append(TelemetryRow((at - timed[0][0]).total_seconds(), values, at))
     except (ET.ParseError, KeyError, ValueError) as e:
         raise InputError(f"{source}: no GPX track: {e}") from e
     if not rows:
         raise InputError(f"{source}: no point of a track (trkpt) has a time; export the track with times")
     return FilmTelemetry.of(rows, source, of_film=False)
-
-
-def _values(point: ET.Element) -> dict[str, float]:
-    up = point.findtext("{*}ele")
-    written = {"latitude": point.attrib["lat"], "longitude": point.attrib["lon"], "abs_alt": up}
-    return {name: float(text) for name, text in written.items() if text}
 
 
 def telemetry_inside(film: Path, seconds: float) -> FilmTelemetry | None:
@@ -85,21 +83,19 @@ def telemetry_inside(film: Path, seconds: float) -> FilmTelemetry | None:
                 f"{film}: has no telemetry; put {film.stem}.srt or {film.stem}.gpx beside it, or, if a track of the "
                 "film has it, pip install 'alight[films]', or install ffmpeg"
             ) from None
-        payloads, text = _by_ffmpeg(film, seconds)
+        payloads, subtitles = _by_ffmpeg(film, seconds)
     else:
-        payloads, text = _by_av(film)
+        payloads, subtitles = _by_av(film)
     name = f"a track of {film}"
-    for telemetry in (read_gpmf(payloads, name), read_subtitles(text, name)):
-        if telemetry.rows:
-            return telemetry
-    return None
+    found = (read_gpmf(payloads, name), telemetry_of(subtitles, name))
+    return next((telemetry for telemetry in found if telemetry.rows), None)
 
 
-def _by_av(film: Path) -> tuple[list[tuple[float, bytes]], str]:
-    """Return (seconds, GPMF payload) pairs and the subtitles in SubRip format, read by `av`."""
+def _by_av(film: Path) -> tuple[list[tuple[float, bytes]], list[Subtitle]]:
+    """Return (seconds, GPMF payload) pairs and the subtitles, read by `av`."""
     import av
 
-    payloads, subtitles = list[tuple[float, bytes]](), list[str]()
+    payloads, subtitles = list[tuple[float, bytes]](), list[Subtitle]()
     try:
         with av.open(str(film)) as file:
             tracks = [s for s in file.streams if s.type in ("data", "subtitle")]
@@ -111,15 +107,15 @@ def _by_av(film: Path) -> tuple[list[tuple[float, bytes]], str]:
                 if kind == "subtitle":
                     skip = 2 if int.from_bytes(data[:2], "big") == len(data) - 2 else 0  # mov_text: the length is first
                     body = data[skip:].decode("utf-8", errors="replace").replace("\\N", "\n")
-                    subtitles.append(f"{_clock(seconds)} --> {_clock(seconds)}\n{body}")
+                    subtitles.append((seconds, body))
                 elif data.startswith(b"DEVC"):
                     payloads.append((seconds, data))
     except av.error.FFmpegError:
         pass  # a damaged file: use what came before the damage
-    return payloads, "\n\n".join(subtitles)
+    return payloads, subtitles
 
 
-def _by_ffmpeg(film: Path, seconds: float) -> tuple[list[tuple[float, bytes]], str]:
+def _by_ffmpeg(film: Path, seconds: float) -> tuple[list[tuple[float, bytes]], list[Subtitle]]:
     """Return what `_by_av` returns, read by `ffmpeg`; the payloads are assumed to be evenly spaced in time."""
 
     def track(*arguments: str) -> bytes:
@@ -128,9 +124,5 @@ def _by_ffmpeg(film: Path, seconds: float) -> tuple[list[tuple[float, bytes]], s
 
     parts = track("-map", "0:d", "-c", "copy", "-f", "data").split(b"DEVC")[1:]
     payloads = [(k * seconds / len(parts), b"DEVC" + part) for k, part in enumerate(parts)]
-    return payloads, track("-map", "0:s:0", "-f", "srt").decode("utf-8", errors="replace")
+    return payloads, subtitles_in(track("-map", "0:s:0", "-f", "srt").decode("utf-8", errors="replace"))
 
-
-def _clock(seconds: float) -> str:
-    ms = round(1000 * seconds)
-    return f"{ms // 3_600_000:02d}:{ms // 60_000 % 60:02d}:{ms // 1000 % 60:02d},{ms % 1000:03d}"

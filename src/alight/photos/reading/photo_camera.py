@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from PIL import ExifTags
@@ -21,7 +23,6 @@ from alight.sources.calibration import why_no_lens
 
 Base = ExifTags.Base
 Notes = dict[str, Any]
-Found = tuple[Camera, Notes] | None
 
 GUESSED = "a guess: no focal length in the tags"
 WIDEST = 12.0  # mm, 35 mm equivalent of the widest lens of a drone; a smaller value is the focal length itself
@@ -33,9 +34,9 @@ class Claim(NamedTuple):
 
     name: str
     camera: Camera
-    tolerance: float  # relative error that the focal length may have
-    family: str  # sources of a family share their errors: resizing affects `pixels`, a digital zoom all but `film`
-    notes: Notes
+    tolerance: float = 0.03  # relative error that the focal length may have
+    family: str = "pixels"  # sources of a family share their errors: resizing affects it, a digital zoom all but `film`
+    notes: Mapping[str, Any] = MappingProxyType({})
 
     @property
     def words(self) -> str:
@@ -68,7 +69,7 @@ def photo_camera(tags: PhotoTags, given: Claim | None = None) -> tuple[Camera, N
         )
     picture = calibrated_picture(tags)
     used = given or _ranked(claims, tags.digital_zoom, picture.is_known)
-    notes = used.notes | {"focal_from": used.name, "focal_px": round(used.camera.fu, 2)}
+    notes: Notes = {**used.notes, "focal_from": used.name, "focal_px": round(used.camera.fu, 2)}
     if len(claims) > 1:
         notes["focal_sources"] = [c.words for c in claims]
     if rivals := [c for c in claims if not c.agrees(used)]:
@@ -94,25 +95,19 @@ def focal_given(tags: PhotoTags, focal_px: float) -> Claim:
     camera = _with_focal(claims[0].camera, focal_px) if claims else _camera(tags, focal_px)
     if why := why_no_lens(camera):
         raise InputError(f"sources.calibration={focal_px:g}: {why}; give a focal length in pixels, or a camchain.yaml")
-    return Claim("sources.calibration", camera, 0.03, "user", {})
+    return Claim("sources.calibration", camera, family="user")
 
 
 def _claims(tags: PhotoTags) -> list[Claim]:
     """Return the camera of each source in the photo's tags, the most exact source first."""
-    out = []
-    for read, tolerance, family in (
-        (_from_dewarp, 0.03, "pixels"), (_from_skydio, 0.03, "pixels"), (_from_pix4d, 0.03, "pixels"),
-        (_from_fisheye, 0.06, "pixels"), (_from_calibrated, 0.03, "pixels"), (_from_sensor, 0.03, "pixels"),
-        (_from_film, 0.06, "film"), (_from_model, 0.06, "model"),
-    ):  # fmt: skip
-        try:
-            found = read(tags)
-        except (ValueError, OverflowError, ZeroDivisionError):  # the tags describe no camera
-            continue
-        if found is not None and why_no_lens(found[0]) is None:
-            camera, notes = found
-            out.append(Claim(str(notes["focal_from"]), camera, tolerance, family, notes))
-    return out
+    impossible, out = (ValueError, OverflowError, ZeroDivisionError), list[Claim | None]()
+    for read in (_from_dewarp, _from_skydio, _from_pix4d, _from_fisheye):
+        with suppress(*impossible):
+            out.append(read(tags))
+    for name, focal, unit, tolerance, family in _nominal(tags):
+        with suppress(*impossible):
+            out.append(Claim(name, _camera(tags, focal * unit), tolerance, family) if focal and unit else None)
+    return [c for c in out if c is not None and why_no_lens(c.camera) is None]
 
 
 def _ranked(claims: Sequence[Claim], zoom: float, sized: bool) -> Claim:
@@ -210,7 +205,7 @@ def _comma_numbers(text: str) -> list[float]:
 # -- factory calibrations
 
 
-def _from_dewarp(tags: PhotoTags) -> Found:
+def _from_dewarp(tags: PhotoTags) -> Claim | None:
     """Read DJI's `date;fx,fy,cx,cy,k1,k2,p1,p2,k3`, with the principal point relative to the image's centre.
 
     `DewarpDataK6` of the Matrice 4 adds `k4,k5,k6`, the denominator of the radial term.
@@ -223,8 +218,7 @@ def _from_dewarp(tags: PhotoTags) -> Found:
         radius = math.hypot(*tags.size) / 2 / calibrated_picture(tags).scale / fx
         k1, k2, k3 = radial_lens([k1, k2, k3], numbers[9:], radius)
     name = "DewarpData" if tags.xmp.get("dji:DewarpData") else "DewarpDataK6"
-    focal, note = _one_focal(tags, fx, fy)
-    notes: Notes = {"focal_from": f"factory calibration ({name})"} | note
+    focal, notes = _one_focal(tags, fx, fy)
     if p1 == p2 and abs(p1) > 1e-4:  # equal in every digit: a maker's error, not a lens
         notes["lens_note"] = f"p1 and p2 are both {p1:g}, which no lens is: left out"
         p1 = p2 = 0.0
@@ -235,7 +229,8 @@ def _from_dewarp(tags: PhotoTags) -> Found:
         notes["lens_note"], lens = "the drone has already removed the distortion (DewarpFlag 1)", ()
     if (scale := _scale(tags)) != 1:
         notes["scale"] = round(scale, 6)
-    return _camera(tags, focal * scale, (cx * scale, cy * scale), lens), notes
+    camera = _camera(tags, focal * scale, (cx * scale, cy * scale), lens)
+    return Claim(f"factory calibration ({name})", camera, notes=notes)
 
 
 def _one_focal(tags: PhotoTags, fx: float, fy: float) -> tuple[float, Notes]:
@@ -257,7 +252,7 @@ def _one_focal(tags: PhotoTags, fx: float, fy: float) -> tuple[float, Notes]:
     return chosen, {"focal_note": f"{disagree}; {chosen:.1f}, nearer to the lens's design ({nominal:.1f}), is used"}
 
 
-def _from_skydio(tags: PhotoTags) -> Found:
+def _from_skydio(tags: PhotoTags) -> Claim | None:
     """Read the camera by Skydio's tags: fx, fy, centre in pixels from the centre of the first pixel, and k1, k2, k3."""
     keys = "FocalLengthX", "FocalLengthY", "OpticalCenterX", "OpticalCenterY"
     fx, fy, cx, cy = (tags.xmp_number(f"skydio:Calibrated{k}") for k in keys)
@@ -266,14 +261,14 @@ def _from_skydio(tags: PhotoTags) -> Found:
     scale, offset, picture = _scale(tags), (0.0, 0.0), calibrated_picture(tags)
     if cx is not None and cy is not None and not picture.turned:
         offset = cx + 0.5 - picture.width / 2, cy + 0.5 - picture.height / 2
-    focal, note = _one_focal(tags, fx, fy)
+    focal, notes = _one_focal(tags, fx, fy)
     k = _comma_numbers(tags.xmp.get("skydio:DewarpData", ""))
     lens = (k[0], k[1], 0.0, 0.0, k[2]) if len(k) == 3 else ()
-    notes: Notes = {"focal_from": "factory calibration (Skydio)"} | note
-    return _camera(tags, focal * scale, (offset[0] * scale, offset[1] * scale), lens), notes
+    camera = _camera(tags, focal * scale, (offset[0] * scale, offset[1] * scale), lens)
+    return Claim("factory calibration (Skydio)", camera, notes=notes)
 
 
-def _from_pix4d(tags: PhotoTags) -> Found:
+def _from_pix4d(tags: PhotoTags) -> Claim | None:
     """Read Pix4D's perspective model: focal length, principal point, and k1, k2, k3, p1, p2.
 
     Parrot, senseFly, Sentera and MicaSense write these `Camera` tags. The focal length is in pixels or millimetres.
@@ -283,15 +278,12 @@ def _from_pix4d(tags: PhotoTags) -> Found:
     unit = tags.xmp.get("camera:PerspectiveFocalLengthUnits", "").lower()
     if not focal or tags.xmp.get("camera:ModelType", "").lower() not in ("", "perspective"):
         return None
-    if unit.startswith("p") or (not unit and pixels is None and focal > 100.0):
-        focal *= _scale(tags)
-    elif pixels is None:
+    per_unit = _scale(tags) if unit.startswith("p") or (not unit and pixels is None and focal > 100.0) else pixels
+    if per_unit is None:
         return None
-    else:
-        focal *= pixels
     lens = _comma_numbers(tags.xmp.get("camera:PerspectiveDistortion", ""))
     distortion = (lens[0], lens[1], lens[3], lens[4], lens[2]) if len(lens) == 5 else ()
-    return _camera(tags, focal, _pix4d_offset(tags), distortion), {"focal_from": "factory calibration (Camera tags)"}
+    return Claim("factory calibration (Camera tags)", _camera(tags, focal * per_unit, _pix4d_offset(tags), distortion))
 
 
 def _pix4d_offset(tags: PhotoTags) -> tuple[float, float]:
@@ -303,7 +295,7 @@ def _pix4d_offset(tags: PhotoTags) -> tuple[float, float]:
     return centre[0] * pixels - 0.5 * scale * width, centre[1] * pixels - 0.5 * scale * height
 
 
-def _from_fisheye(tags: PhotoTags) -> Found:
+def _from_fisheye(tags: PhotoTags) -> Claim | None:
     """Fit the equidistant model to Pix4D's fisheye model, which a Parrot Sequoia writes for its bands."""
     affine, polynomial = (
         _comma_numbers(tags.xmp.get(f"camera:Fisheye{k}", "")) for k in ("AffineMatrix", "Polynomial")
@@ -321,28 +313,21 @@ def _from_fisheye(tags: PhotoTags) -> Found:
         return None
     distortion = tuple(float(k) for k in terms[1:] / terms[0])
     camera = _camera(tags, float(terms[0]), offset, distortion, "equidistant")
-    return camera, {"focal_from": "factory calibration (Camera tags, fisheye)"}
+    return Claim("factory calibration (Camera tags, fisheye)", camera, 0.06)
 
 
 # -- nominal focal lengths
 
 
-def _from_calibrated(tags: PhotoTags) -> Found:
-    return _nominal(tags, tags.xmp_number("dji:CalibratedFocalLength"), _scale(tags), "CalibratedFocalLength")
-
-
-def _from_sensor(tags: PhotoTags) -> Found:
-    pixels = _pixels_a_millimetre(tags)
-    return _nominal(tags, tags.number(Base.FocalLength), pixels, "FocalLength and FocalPlaneXResolution")
-
-
-def _from_film(tags: PhotoTags) -> Found:
-    return _nominal(tags, _film_focal(tags), 1.0, "FocalLengthIn35mmFilm")
-
-
-def _nominal(tags: PhotoTags, focal: float | None, unit: float | None, name: str) -> Found:
-    """Build a camera from a focal length in units of `unit` pixels; `name`: its source. None if a number is missing."""
-    return None if not focal or unit is None else (_camera(tags, focal * unit), {"focal_from": name})
+def _nominal(tags: PhotoTags) -> Iterator[tuple[str, float | None, float | None, float, str]]:
+    """Yield the sources without distortion: name, focal length and pixels per unit of it, tolerance, family."""
+    focal, (width, shape) = tags.number(Base.FocalLength), _sensor(tags)
+    yield "CalibratedFocalLength", tags.xmp_number("dji:CalibratedFocalLength"), _scale(tags), 0.03, "pixels"
+    yield "FocalLength and FocalPlaneXResolution", focal, _pixels_a_millimetre(tags), 0.03, "pixels"
+    yield "FocalLengthIn35mmFilm", _film_focal(tags), 1.0, 0.06, "film"
+    if width is not None and shape is not None:
+        name = f"FocalLength and the sensor's size of a {tags.text(Base.Model)}"
+        yield name, focal, tags.digital_zoom * (_sensor_width(tags.size, shape) / width), 0.06, "model"
 
 
 def _film_focal(tags: PhotoTags) -> float | None:
@@ -367,14 +352,6 @@ def film_focal_px(film: float, width: float, shape: float) -> float:
     return math.hypot(width, width / shape) * film / math.hypot(36, 24)
 
 
-def _from_model(tags: PhotoTags) -> Found:
-    focal, (width, shape) = tags.number(Base.FocalLength), _sensor(tags)
-    if not focal or width is None or shape is None:
-        return None
-    name = f"FocalLength and the sensor's size of a {tags.text(Base.Model)}"
-    return _nominal(tags, focal * (_sensor_width(tags.size, shape) / width), tags.digital_zoom, name)
-
-
 def _sensor(tags: PhotoTags) -> tuple[float, float] | tuple[None, None]:
     """Return the sensor's width in mm and its width over height, by makers' data sheets; None for other models."""
     make, model = tags.text(Base.Make).lower(), tags.text(Base.Model).lower()
@@ -385,11 +362,9 @@ def _sensor(tags: PhotoTags) -> tuple[float, float] | tuple[None, None]:
 
 
 @cache
-def _sensors() -> list[tuple[str, str, float, str]]:
+def _sensors() -> Any:
     """Return rows (part of maker's name, start of model's name, width in mm, shape); the first match is used."""
-    return [
-        (m, s, w, shape) for m, s, w, shape in json.loads(Path(__file__).with_name("sensor_sizes.json").read_text())
-    ]
+    return json.loads(Path(__file__).with_name("sensor_sizes.json").read_text())
 
 
 def _sensor_width(size: tuple[int, int], shape: float) -> float:

@@ -18,8 +18,6 @@ from alight.records import InputError
 from alight.sources.image_formats import Levels, levels_of
 from alight.sources.images import UNREADABLE, hidden_pixels, read_image
 
-LEVELS_OF = 24  # pictures sampled to find the range of levels of a set
-
 
 class PictureReader:
     """Decoder for the pictures of one set: all with one range of levels, all in colour or all in grey."""
@@ -53,7 +51,7 @@ class PictureReader:
                 if (mask := hidden_pixels(photo.path)) is not None:
                     notes["hidden"] = f"{mask.mean():.1%} of {photo.path.name}"
         deep = [p.path for p in photos if p.bits > 8]
-        if levels := levels_of(deep[:: -(-len(deep) // LEVELS_OF)]) if deep else None:
+        if levels := levels_of(deep):
             self._levels = dict.fromkeys(deep, levels)
             notes["levels"] = f"{levels.low:g} to {levels.high:g} of {len(deep)} pictures become 0 to 255"
         if shows := false_colours(photos, self.pixels_of):

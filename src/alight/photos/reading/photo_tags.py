@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -96,6 +96,16 @@ class PhotoTags:
         """Factor of the digital zoom; 1 if the tags give none or an impossible one."""
         zoom = self.number(Base.DigitalZoomRatio)
         return zoom if zoom is not None and 1 < zoom <= 100 else 1.0
+
+    def positioned(self, **changes: Any) -> PhotoTags:
+        """Return the photo with changed fields of its settled position."""
+        assert self.settled is not None
+        return replace(self, settled=self.settled._replace(**changes))
+
+    @property
+    def is_above_sea(self) -> bool:
+        """Whether the altitude is known to count from sea level."""
+        return self.altitude_kind == "sea level" or self.altitude_kind.startswith("sea level (")
 
     @property
     def altitude_kind(self) -> str:

@@ -256,7 +256,7 @@ class Photos(Source):
             path = Path(settings.sources.calibration).expanduser()
             blank = RigCamera("cam0", Camera(*self._photos[0][1].size, 1, 1, 0, 0), BODY_FROM_CAM)
             lens = read_camchain(path, Rig((blank,)), BODY_FROM_CAM).cameras[0].camera
-            given = Claim(f"Kalibr {path.name}", lens, 0.03, "user", {})
+            given = Claim(f"Kalibr {path.name}", lens, family="user")
             self.notes |= self._settled(photo_camera(self._photos[0][1], given)[1], self._cameras[0])
             return Rig((replace(blank, camera=lens),))
         cameras, notes = list[RigCamera](), list[Notes]()

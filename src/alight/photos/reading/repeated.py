@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from hashlib import file_digest
+from functools import cache
+from hashlib import blake2b
 
 import cv2
 import numpy as np
@@ -32,14 +33,20 @@ def repeated_photos(photos: Sequence[PhotoTags], read: Callable[[PhotoTags], U8]
     )
     out = list[PhotoTags]()
     for group in _groups(best_first, lambda p: p.path.stat().st_size):
-        out += [p for same in _groups(group, _bytes_of) for p in same[1:]]
+        out += [p for same in _groups(group, lambda p: blake2b(p.path.read_bytes()).digest()) for p in same[1:]]
     copies = {p.path for p in out}
-    left, small = [p for p in best_first if p.path not in copies], dict[int, F64 | None]()
-    for k, better in _may_be_one(left):
-        for j in (k, *better):
-            if j not in small:
-                small[j] = _small(left[j], read)
-        out += [left[k]] * any(_alike(small[k], small[j]) for j in better)
+    left = [p for p in best_first if p.path not in copies]
+
+    @cache
+    def small(number: int) -> F64:
+        """Return a small picture (1024,) without its mean, of length 1; zeros if it is flat or cannot be read."""
+        with suppress(ValueError):
+            grey = cv2.resize(grey_levels(read(left[number])), (32, 32), interpolation=cv2.INTER_AREA)
+            off = grey.ravel() - np.mean(grey, dtype=np.float64)
+            return np.asarray(off / (np.linalg.norm(off) or 1.0))
+        return np.zeros(32 * 32)
+
+    out += [left[k] for k, better in _may_be_one(left) if any(small(k) @ small(j) > ALIKE for j in better)]
     warning = f"{len(out)} photo(s) are in the set twice and count once (first: {out[0].path.name})" if out else ""
     return LeftOut({p.path: "the set holds it twice" for p in out}, "repeated photos", warning)
 
@@ -50,11 +57,6 @@ def _groups(photos: Iterable[PhotoTags], key: Callable[[PhotoTags], Hashable]) -
     for photo in photos:
         found[key(photo)].append(photo)
     return [group for value, group in found.items() if value is not None and len(group) > 1]
-
-
-def _bytes_of(photo: PhotoTags) -> str:
-    with photo.path.open("rb") as file:
-        return file_digest(file, "blake2b").hexdigest()
 
 
 def _may_be_one(photos: Sequence[PhotoTags]) -> Iterator[tuple[int, list[int]]]:
@@ -75,14 +77,3 @@ def _may_be_one(photos: Sequence[PhotoTags]) -> Iterator[tuple[int, list[int]]]:
         if len(better := np.flatnonzero(fits & (cameras[:k] == cameras[k]))):
             yield k, better.tolist()
 
-
-def _small(photo: PhotoTags, read: Callable[[PhotoTags], U8]) -> F64 | None:
-    with suppress(ValueError):
-        return np.asarray(cv2.resize(grey_levels(read(photo)), (32, 32), interpolation=cv2.INTER_AREA), np.float64)
-    return None
-
-
-def _alike(a: F64 | None, b: F64 | None) -> bool:
-    if a is None or b is None or not min(np.ptp(a), np.ptp(b)):
-        return False
-    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1]) > ALIKE

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from alight.arrays import F64
 from alight.photos.reading.film_telemetry import FilmTelemetry, TelemetryRow, apart
 from alight.records import InputError
 
@@ -27,10 +26,11 @@ NAMES = {  # spellings of each name, the most specific one first
     "gb_yaw": ("gb_yaw", "gimbal_yaw"), "gb_pitch": ("gb_pitch", "gimbal_pitch"), "gb_roll": ("gb_roll", "gimbal_roll"),
     "dzoom_ratio": ("dzoom_ratio", "dzoom", "digital_zoom_ratio", "digital_zoom", "digitalzoom"),
 }  # fmt: skip
+Subtitle = tuple[float, str]  # time in seconds, NaN: none; text
 LENGTHS = "abs_alt", "rel_alt", "home_distance"
 FEET, METRES = ("ft", "feet", "foot", "'"), ("m", "metre", "metres", "meter", "meters")
 QUOTES = str.maketrans("’′”″", "''\"\"")  # marks of feet, minutes and seconds
-_TIME = re.compile(r"(?:(\d+):)?(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
+_TIME = re.compile(r"((?:\d+:)?\d\d:\d\d[,.]\d{1,3})\s*-->")
 _ASS = re.compile(r"^Dialogue:[^,]*,(\d+:\d\d:\d\d\.\d+),[^,]*,(?:[^,]*,){6}(.*)$", re.MULTILINE)
 _STAMP = re.compile(r"(\d{4})[-./](\d\d?)[-./](\d\d?)[ T](\d\d?):(\d\d):(\d\d)(?:[.,:](\d{1,3}))?")
 _UNIT = r"'|[NSEW]\b|(?:m|ft|feet|foot|met(?:re|er)s?)\b|[a-z]+(?![\w.]*[ \t]*[-+:=(\d])"  # no name of another number
@@ -83,6 +83,11 @@ class _Cue:
 
 
 def read_subtitles(text: str, source: str) -> FilmTelemetry:
+    """Read the telemetry from a file of subtitles; see `telemetry_of`."""
+    return telemetry_of(subtitles_in(text), source)
+
+
+def telemetry_of(subtitles: Iterable[Subtitle], source: str) -> FilmTelemetry:
     """Read the telemetry from subtitles; it has no rows if no subtitle holds a position.
 
     Args:
@@ -92,8 +97,11 @@ def read_subtitles(text: str, source: str) -> FilmTelemetry:
         InputError: the film does not show whether latitude or longitude comes first in `GPS(...)`, or a place is in
             degrees, minutes and seconds without hemisphere, or its letters are those of the other axis.
     """
-    found = [_cue(at, body) for at, body in _subtitles(text)]
-    cues = [c for c in found if math.isfinite(c.row.seconds)] or _timed_by_date(found)
+    found = [_cue(at, body) for at, body in subtitles]
+    cues = [c for c in found if math.isfinite(c.row.seconds)]
+    if not cues:
+        dated = [(c, taken) for c in found if (taken := c.row.taken) is not None]
+        cues = [replace(c, row=replace(c.row, seconds=(t - dated[0][1]).total_seconds())) for c, t in dated]
     if fault := next((c.fault for c in cues if c.fault), ""):
         raise InputError(f"{source}: {fault}")
     unread = "; ".join(sorted(set[str]().union(*(c.unread for c in cues))))
@@ -108,32 +116,26 @@ def read_subtitles(text: str, source: str) -> FilmTelemetry:
             "[longitude: ...] instead, or give the track as a .gpx file"
         )
     rows = [c.placed(latitude_first) for c in bracketed]
-    if _is_altitude(bracketed):
+    if _third(bracketed)[1]:
         rows = [replace(r, values={"abs_alt": c.gps[2].value} | r.values) if len(c.gps) > 2 else r
                 for c, r in zip(bracketed, rows, strict=True)]  # fmt: skip
     order = "latitude, longitude" if latitude_first else "longitude, latitude"
     return replace(FilmTelemetry.of(rows, source, f"GPS({order}): {why}"), warning=warning)
 
 
-def _subtitles(text: str) -> Iterator[tuple[float, str]]:
-    """Yield the time in seconds and the text of each subtitle; NaN: the subtitle has no time."""
+def subtitles_in(text: str) -> list[Subtitle]:
+    """Split a file into subtitles."""
     text = text.lstrip("\ufeff").replace("\r", "")
     if "[Script Info]" in text or text.startswith("Dialogue:"):
-        for at, body in _ASS.findall(text):
-            h, m, s = at.split(":")
-            yield 3600 * int(h) + 60 * int(m) + float(s), re.sub(r"\\[Nn]", "\n", re.sub(r"{[^}]*}", "", body))
-        return
-    for block in re.split(r"\n\s*\n", text):
-        if (at := _TIME.search(block)) is None:
-            yield math.nan, block
-            continue
-        h, m, s, ms = at.groups()
-        yield 3600 * int(h or 0) + 60 * int(m) + int(s) + int(ms) / 10 ** len(ms), block[at.end() :]
+        bodies = ((at, re.sub(r"{[^}]*}", "", body)) for at, body in _ASS.findall(text))
+        return [(_seconds(at), re.sub(r"\\[Nn]", "\n", body)) for at, body in bodies]
+    blocks = ((_TIME.search(block), block) for block in re.split(r"\n\s*\n", text))
+    return [(_seconds(at[1]), block[at.end() :]) if at else (math.nan, block) for at, block in blocks]
 
 
-def _timed_by_date(cues: Sequence[_Cue]) -> list[_Cue]:
-    dated = [(c, taken) for c in cues if (taken := c.row.taken) is not None]
-    return [replace(c, row=replace(c.row, seconds=(t - dated[0][1]).total_seconds())) for c, t in dated]
+def _seconds(clock: str) -> float:
+    """Convert h:m:s or m:s to seconds."""
+    return sum(60**k * float(part) for k, part in enumerate(reversed(clock.replace(",", ".").split(":"))))
 
 
 def _cue(seconds: float, body: str) -> _Cue:
@@ -229,15 +231,17 @@ def _order(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
             return proof.pop(), why
         if proof:
             return None, f"{why} contradict each other"
-    votes = {why: vote for vote, why in (_by_home(cues), _by_third(cues)) if vote is not None}
+    third, home = _third(cues)[0], _by_home(cues)
+    votes = {} if home is None else {"the distance from HOME": home}
+    votes |= {f"the third number is {third}": "height" in third} if third else {}
     if len(set(votes.values())) == 1:
         return next(iter(votes.values())), " and ".join(votes)
     return None, f"{' and '.join(votes)} contradict each other" if votes else "nothing shows"
 
 
-def _by_home(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
-    """Return whether latitude first reproduces the distances from HOME (None: unclear), and this evidence in words."""
-    why, misfits = "the distance from HOME", []
+def _by_home(cues: Sequence[_Cue]) -> bool | None:
+    """Return whether latitude first reproduces the distances from HOME; None: unclear."""
+    misfits = []
     for latitude_first in (True, False):
         off = [
             abs(abs(apart(replace(c.row, values=_place(c.home, latitude_first)), c.placed(latitude_first))) - d) / d
@@ -246,34 +250,19 @@ def _by_home(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
         ]  # fmt: skip
         misfits.append(float(np.median(off)) if off else math.nan)
     best, other = sorted(misfits)
-    clear = other > 0.1 and best < other / 2  # shares of the distance
-    return (misfits[0] == best if clear else None), why
+    return misfits[0] == best if other > 0.1 and best < other / 2 else None  # shares of the distance
 
 
-def _by_third(cues: Sequence[_Cue]) -> tuple[bool | None, str]:
-    third, up = _thirds(cues)
-    if not len(third):
-        return None, ""
-    if _is_written_height(cues):
-        return True, "the third number is a height"
-    if (abs(third - up) <= 1).all():  # m; equal after rounding, or by chance
-        return (True if np.ptp(third) > 3 else None), "the third number is the height"
-    return False, "the third number is a count of satellites"
+def _third(cues: Sequence[_Cue]) -> tuple[str, bool]:
+    """Return what the third number in brackets is, in words (empty: unclear), and whether it is an altitude.
 
-
-def _thirds(cues: Sequence[_Cue]) -> tuple[F64, F64]:
-    """Return the third numbers (N,) in brackets, and the heights (N,) above take-off in m, NaN where not given."""
-    pairs = [(c.gps[2].value, c.row.values.get("rel_alt", math.nan)) for c in cues if len(c.gps) > 2]
-    third, up = np.array(pairs).reshape(-1, 2).T
-    return third, up
-
-
-def _is_written_height(cues: Sequence[_Cue]) -> bool:
-    """Whether decimals, unit or size of the third number show that it is not a count of satellites."""
-    return any(n.decimals or n.unit in (*FEET, *METRES) or not 0 <= n.value <= 60 for c in cues for n in c.gps[2:3])
-
-
-def _is_altitude(cues: Sequence[_Cue]) -> bool:
-    """Whether the third number is a height that is neither always zero nor the height above take-off."""
-    third, up = _thirds(cues)
-    return _is_written_height(cues) and bool((third != 0).any()) and not bool((abs(third - up) <= 1).all())
+    Decimals, unit or size show a height. It is no altitude if it is always zero, or the height above take-off.
+    """
+    numbers = [(c.gps[2], c.row.values.get("rel_alt", math.nan)) for c in cues if len(c.gps) > 2]
+    third, up = np.array([(n.value, height) for n, height in numbers]).reshape(-1, 2).T
+    is_same = bool((abs(third - up) <= 1).all())  # m; equal after rounding, or by chance
+    if any(n.decimals or n.unit in (*FEET, *METRES) or not 0 <= n.value <= 60 for n, _ in numbers):
+        return "a height", bool(third.any()) and not is_same
+    if is_same:
+        return "the height" if len(third) and np.ptp(third) > 3 else "", False
+    return "a count of satellites", False

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import shutil
-import tempfile
 import weakref
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from PIL import ExifTags, Image
 
@@ -55,13 +55,18 @@ def open_video(
     """
     with FilmFrames(path) as frames:
         seconds = frames.seconds
-    telemetry = telemetry_beside(path) or log(True) or _telemetry_inside(path, seconds, log) or log(False)
+    telemetry = telemetry_beside(path) or log(True)
+    if telemetry is None:
+        try:
+            telemetry = telemetry_inside(path, seconds) or log(False)
+        except InputError:  # no reader of tracks is installed
+            if (telemetry := log(False)) is None:
+                raise
     if telemetry is None:
         raise InputError(f"{path}: has no telemetry; put {path.stem}.srt or {path.stem}.gpx beside it")
-    folder = Path(tempfile.mkdtemp(prefix="alight-video-"))
-    try:
-        clock = film_clock(path, seconds, telemetry, settings.sources.time_offset)
-        root = folder / path.stem
+    clock = film_clock(path, seconds, telemetry, settings.sources.time_offset)
+    with ExitStack() as stack:
+        root = Path(stack.enter_context(TemporaryDirectory(prefix="alight-video-"))) / path.stem
         root.mkdir()
         tags = {t.path: t for t in _write_frames(path, telemetry, clock, root)}
         if not tags:
@@ -70,27 +75,14 @@ def open_video(
                 f"{path.name} -c:v libx264 OUT.mp4"
             )
         source = Photos(root, list(tags), settings, read=lambda path: (tags[path], ""))
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
+        weakref.finalize(source, stack.pop_all().close)
     source.notes["video"] = f"{len(tags)} frames of {path.name}, chosen by the distance flown"
     source.notes["telemetry"] = "; ".join(
         part for part in (f"{telemetry.source}: {len(telemetry.rows)} places", telemetry.found, clock.found) if part
     )
     for warning in filter(None, (telemetry.warning, clock.warning)):
         source.findings.warn(warning)
-    weakref.finalize(source, shutil.rmtree, folder, True)
     return source
-
-
-def _telemetry_inside(path: Path, seconds: float, log: Callable[[bool], FilmTelemetry | None]) -> FilmTelemetry | None:
-    """Read telemetry from a track of the film; if no reader of tracks is installed, from the log by `log(False)`."""
-    try:
-        return telemetry_inside(path, seconds)
-    except InputError:
-        if (found := log(False)) is None:
-            raise
-        return found
 
 
 def film_clock(path: Path, seconds: float, telemetry: FilmTelemetry, given: float | None) -> FilmClock:
@@ -135,23 +127,20 @@ def _earlier(offset: float) -> str:
 
 def _write_frames(path: Path, telemetry: FilmTelemetry, clock: FilmClock, root: Path) -> Iterator[PhotoTags]:
     """Save the selected frames of a film in `root` and yield their tags; frames without telemetry are left out."""
-    last: TelemetryRow | None = None
+    last, climbed = None, 0.0
     with FilmFrames(path) as frames:
         for t in frames:
-            row = telemetry.at(t + clock.offset)
-            if row is None or (last is not None and _distance(last, row) < _step(last, frames.size)):
+            if (row := telemetry.at(t + clock.offset)) is None:
+                continue
+            height = row.values.get("abs_alt", row.values.get("rel_alt", 0.0))
+            if last is not None and math.hypot(abs(apart(last, row)), climbed - height) < _step(last, frames.size):
                 continue
             if (image := frames.image()) is None:
                 continue
-            last = row
+            last, climbed = row, height
             file = root / f"frame_{frames.number:06d}.jpg"
             Image.fromarray(image).save(file, "JPEG", quality=95)
             yield _tags(file, frames, row, max(11.0 * row.coarse, clock.accuracy))
-
-
-def _distance(a: TelemetryRow, b: TelemetryRow) -> float:
-    up = (next((r.values[k] for k in ("abs_alt", "rel_alt") if k in r.values), 0.0) for r in (a, b))
-    return math.hypot(abs(apart(a, b)), next(up) - next(up))
 
 
 def digital_zoom(row: TelemetryRow) -> float:

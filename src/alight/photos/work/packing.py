@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import io
-import json
-from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
-from enum import Enum
+import pickle
 from hashlib import blake2b
 from typing import Any
-from zipfile import BadZipFile
 
 import lz4.frame
 import numpy as np
-from numpy.typing import NDArray
 
-from alight.documents import parse_json
 from alight.geometry import Camera, Grid, Pose
 from alight.parallax.batch import MatchedBlock
 from alight.photos.bundle.features import PhotoFeatures
@@ -23,26 +17,42 @@ from alight.photos.bundle.matching import Pair
 from alight.pipeline.navigation import Trajectory
 from alight.records import Heights, KeyframePosterior, Motion, MotionState, PhotoOutcome, Rig, RigCamera
 
-KINDS: dict[str, type[Any]] = {
-    k.__name__: k
-    for k in (
-        Camera, Grid, Heights, KeyframePosterior, MatchedBlock, Motion, Pair, PhotoFeatures, PhotoOutcome, Pose, Rig,
-        RigCamera, Trajectory,
-    )
-}  # fmt: skip
-_DIGEST = blake2b().digest_size  # bytes of the digest before the archive
+KINDS = (
+    Camera, Grid, Heights, KeyframePosterior, MatchedBlock, Motion, MotionState, Pair, PhotoFeatures, PhotoOutcome,
+    Pose, Rig, RigCamera, Trajectory,
+)  # fmt: skip
+_ARRAYS = ("_frombuffer", "_reconstruct", "scalar", "ndarray", "dtype")  # what NumPy restores its arrays with
+_DIGEST = blake2b().digest_size  # bytes of the digest before the pickle
+
+
+class _Pickler(pickle.Pickler):
+    """Pickler of arrays, numbers, text, containers and records of `KINDS`; TypeError for all else."""
+
+    def reducer_override(self, value: Any) -> Any:
+        if not isinstance(value, (*KINDS, np.ndarray, np.generic, np.dtype, type)) and not callable(value):
+            raise TypeError(f"a task gave a {type(value).__name__}, which is not saved")
+        return NotImplemented
+
+
+class _Unpickler(pickle.Unpickler):
+    """Unpickler that makes no other objects than `_Pickler` writes."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        listed = any((kind.__module__, kind.__name__) == (module, name) for kind in KINDS)
+        if not listed and not (module.split(".")[0] == "numpy" and name in _ARRAYS):
+            raise pickle.UnpicklingError(f"{module}.{name} is not saved")
+        return super().find_class(module, name)
 
 
 def pack_result(value: Any, about: str) -> bytes:
-    """Pack the result of a task into a digest and a compressed NumPy archive.
+    """Pack the result of a task into a digest and a compressed pickle.
 
     Args:
         value: records of `KINDS`, arrays, numbers and text, in tuples, lists and mappings.
         about: further inputs of the result, as text; they enter the digest only.
     """
-    arrays, out = list[NDArray[Any]](), io.BytesIO()
-    tree = json.dumps({"value": _plain(value, arrays)})
-    np.savez(out, *arrays, tree=np.array(tree))
+    out = io.BytesIO()
+    _Pickler(out, pickle.HIGHEST_PROTOCOL).dump(value)
     body: bytes = lz4.frame.compress(out.getvalue())
     return _digest(about, body) + body
 
@@ -59,47 +69,10 @@ def unpack_result(data: bytes) -> Any:
         ValueError: the bytes are not a packed result.
     """
     try:
-        with np.load(io.BytesIO(lz4.frame.decompress(data[_DIGEST:])), allow_pickle=False) as archive:
-            return _whole(parse_json(str(archive["tree"]))["value"], archive)
-    except (KeyError, TypeError, IndexError, AttributeError, RuntimeError, OSError, EOFError, BadZipFile) as e:
+        return _Unpickler(io.BytesIO(lz4.frame.decompress(data[_DIGEST:]))).load()
+    except Exception as e:  # damaged bytes can make the library raise any exception
         raise ValueError(f"damaged ({e})") from e
 
 
 def _digest(about: str, body: bytes) -> bytes:
     return blake2b(b"\0".join([about.encode(), body])).digest()
-
-
-def _plain(value: Any, arrays: list[NDArray[Any]]) -> Any:
-    """Return a value as JSON types, containers as lists [type, ...]; its arrays are appended to `arrays`."""
-    if isinstance(value, np.ndarray):
-        arrays.append(np.asarray(value, order="C"))
-        return ["array", f"arr_{len(arrays) - 1}"]
-    if isinstance(value, MotionState):
-        return ["state", int(value)]
-    if isinstance(value, tuple | list):
-        return ["tuple" if isinstance(value, tuple) else "list", *(_plain(v, arrays) for v in value)]
-    if isinstance(value, dict):
-        return ["dict", *([str(k), _plain(v, arrays)] for k, v in value.items())]
-    if is_dataclass(value) and KINDS.get(type(value).__name__) is type(value):
-        return [type(value).__name__, *(_plain(getattr(value, f.name), arrays) for f in fields(value))]
-    if isinstance(value, np.generic):
-        return value.item()
-    if value is None or (isinstance(value, bool | int | float | str) and not isinstance(value, Enum)):
-        return value
-    raise TypeError(f"a task gave a {type(value).__name__}, which is not saved")
-
-
-def _whole(plain: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
-    if not isinstance(plain, list):
-        return plain
-    what, *parts = plain
-    if what == "array":
-        return arrays[parts[0]]
-    if what == "state":
-        return MotionState(parts[0])
-    if what in ("tuple", "list"):
-        inner = [_whole(p, arrays) for p in parts]
-        return tuple(inner) if what == "tuple" else inner
-    if what == "dict":
-        return {k: _whole(v, arrays) for k, v in parts}
-    return KINDS[what](*(_whole(p, arrays) for p in parts))

@@ -150,7 +150,7 @@ class BagFlight(FlightLog):
         return self._topics.cameras[int(cam.removeprefix("cam"))]
 
     def _stamps(self, cam: str) -> F64:
-        return np.sort(self._stream(cam).t_ns).astype(np.float64)
+        return self._stream(cam).t_ns.astype(np.float64)
 
     def _where(self, stream: str, file: str = "") -> str:
         return f"{self._root}: {self._stream(stream).topic if stream.startswith('cam') else stream}"

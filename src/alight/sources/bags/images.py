@@ -17,10 +17,9 @@ from alight.sources.calibration import why_no_lens
 from alight.sources.images import UNREADABLE, decode_image, open_image
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-NO_CONVERSION = -1
 # encoding: bytes of a pixel, conversion to grey or RGB. OpenCV names a Bayer pattern by its second row and column.
-ENCODINGS: dict[str, tuple[int, int]] = {
-    "mono8": (1, NO_CONVERSION), "8UC1": (1, NO_CONVERSION), "rgb8": (3, NO_CONVERSION),
+ENCODINGS: dict[str, tuple[int, int | None]] = {
+    "mono8": (1, None), "8UC1": (1, None), "rgb8": (3, None),
     "bgr8": (3, cv2.COLOR_BGR2RGB), "8UC3": (3, cv2.COLOR_BGR2RGB),
     "rgba8": (4, cv2.COLOR_RGBA2RGB), "bgra8": (4, cv2.COLOR_BGRA2RGB), "8UC4": (4, cv2.COLOR_BGRA2RGB),
     "bayer_rggb8": (1, cv2.COLOR_BayerBG2RGB), "bayer_bggr8": (1, cv2.COLOR_BayerRG2RGB),
@@ -44,7 +43,7 @@ def pixels_of(message: Any, size: tuple[int, int]) -> U8:
         return decode_image(bytes(message.data), size)
     if (message.width, message.height) != size:
         raise ValueError(f"it is {message.width}x{message.height}, the camera {size[0]}x{size[1]}")
-    depth, conversion = ENCODINGS.get(message.encoding, (0, NO_CONVERSION))
+    depth, conversion = ENCODINGS.get(message.encoding, (0, None))
     if not depth:
         raise ValueError(f"its encoding is {message.encoding!r}")
     row = size[0] * depth
@@ -52,7 +51,7 @@ def pixels_of(message: Any, size: tuple[int, int]) -> U8:
         raise ValueError(f"it has {len(message.data)} bytes for {size[1]} rows of {max(message.step, row)}")
     rows = np.asarray(message.data[: message.step * size[1]], np.uint8).reshape(size[1], message.step)[:, :row]
     pixels = rows if depth == 1 else rows.reshape(size[1], size[0], depth)
-    converted = pixels if conversion == NO_CONVERSION else cv2.cvtColor(np.ascontiguousarray(pixels), conversion)
+    converted = pixels if conversion is None else cv2.cvtColor(np.ascontiguousarray(pixels), conversion)
     return np.array(converted, np.uint8)
 
 
