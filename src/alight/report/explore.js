@@ -144,7 +144,7 @@ function shape(s, map, group) {
     for (const [radius, className] of parts) {
       L.circle(at(east, north), { radius, className: `shape disc ${className}`, interactive: false }).addTo(group);
     }
-    const icon = L.divIcon({ className: `badge ${s.style}${s.rank === 1 ? " best" : ""}`, html: String(s.rank), iconSize: [28, 28] });
+    const icon = L.divIcon({ className: `number ${s.style}${s.rank === 1 ? " best" : ""}`, html: String(s.rank), iconSize: [28, 28] });
     s.marker = L.marker(at(east, north), { icon, title: s.text, riseOnHover: true }).addTo(group).bindTooltip(s.text);
   }
 }
@@ -224,7 +224,7 @@ function facts(place) {
   out.push(["Slope", text("slope")], ["Largest bump", text("roughness")]);
   out.push(["P(safe)", data.fields.p_safe ? chance || "cannot be judged" : null]);
   out.push(["made of", chance && factors.length ? factors.join(", ") : null]);
-  out.push(["Smallest obstacle found", text("resolved")], ["Reason", text("reasons")]);
+  out.push(["Smallest obstacle found", text("resolved")], ["Verdict", text("reasons")]);
   out.push(["Land cover", text("cover") && text("cover") + (sure ? ` (${sure} sure)` : "")]);
   out.push(["Height flags", height ? text("flags") : null], ["Pictures", text("views")]);
   return out.filter(([, value]) => value);

@@ -146,10 +146,6 @@ def warnings(result: RunResult) -> list[str]:
 COMMON_COLUMNS = ("Slope", "Largest bump", "Clear", "Ground", "Altitude", "Height ±", "Quality", "Place")
 SITE_COLUMNS = ("Site", "Safe", *COMMON_COLUMNS, "Safe disc", "Heading")
 CANDIDATE_COLUMNS = ("Candidate", "Safe", *COMMON_COLUMNS, "Doubt", "Look from")
-QUALITY = (
-    "Quality is 0 for level, even, well-measured ground of one brightness, and more negative for less: a slope at the "
-    "lander's limit costs 1, a bump at its limit another."
-)
 
 
 def _row(result: RunResult, s: Site) -> Row:
@@ -186,6 +182,13 @@ def _score(result: RunResult, s: Site) -> str:
     return f"score {s.quality + room - doubt:.2f}: quality {s.quality:.2f}, room {room:+.2f}, doubt {-doubt:.2f}"
 
 
+def _quality(result: RunResult) -> str:
+    return (
+        "Quality is 0 for level, even, well-measured ground of one brightness, and more negative for less: a slope at "
+        f"the lander's limit costs {result.settings.hazards.alpha:g}, a bump at its limit as much again."
+    )
+
+
 def _site_order(result: RunResult) -> str:
     weights = result.settings.tuning.sites
     away = " less the distance from the vehicle," if result.settings.sites.distance_weight else ""
@@ -200,14 +203,14 @@ def place_tables(result: RunResult) -> list[PlaceTable]:
     """Return the tables of sites and candidates, in order of rank; empty tables are omitted."""
     sites, candidates = ([_row(result, s) for s in part] for part in (result.sites.sites, result.sites.candidates))
     found = (
-        PlaceTable("The sites, best first", "site", SITE_COLUMNS, sites, f"{_site_order(result)} {QUALITY}"),
+        PlaceTable("The sites, best first", "site", SITE_COLUMNS, sites, f"{_site_order(result)} {_quality(result)}"),
         PlaceTable(
             "Candidates: to look at before a landing",
             "candidate",
             CANDIDATE_COLUMNS,
             candidates,
             "Candidates are in order of the chance around them, in steps of "
-            f"{words.percent(result.settings.tuning.sites.chance_step)}, and within a step of quality. {QUALITY}",
+            f"{words.percent(result.settings.tuning.sites.chance_step)}, and within a step of quality. {_quality(result)}",
         ),
     )
     return [t for t in found if t.rows]
