@@ -53,7 +53,11 @@ def spot(tab: Tab, row: float, col: float) -> tuple[float, float]:
 
 
 def facts(tab: Tab) -> dict[str, str]:
-    return dict(tab.run("[...document.querySelectorAll('#facts div')].map((row) => [...row.children].map((c) => c.textContent))"))
+    return dict(
+        tab.run(
+            "[...document.querySelectorAll('#facts div')].map((row) => [...row.children].map((c) => c.textContent))"
+        )
+    )
 
 
 def focus(tab: Tab, selector: str) -> None:
@@ -88,7 +92,7 @@ def test_a_refused_place_has_its_reasons(shown: Tab) -> None:
     read = facts(shown)
     assert read["Verdict"] == "wrong kind of ground; not seen or not trusted"
     assert read["Height"] == "moving: water, plants, traffic"
-    assert read["P(safe)"] == "0 %"
+    assert read["P(safe)"] == "0 %, refused"
 
 
 def test_the_ground_is_coloured_by_a_layer_that_fades(shown: Tab) -> None:
@@ -132,7 +136,9 @@ def test_the_ruler_measures_metres(shown: Tab) -> None:
     shown.run("document.getElementById('ruler').click()")
     for row, col in ((60, 80), (100, 80)):
         shown.mouse(*spot(shown, row, col), click=True)
-    assert float(shown.run("document.getElementById('measured').textContent").split(" m")[0]) == pytest.approx(10.0, abs=0.2)
+    assert float(shown.run("document.getElementById('measured').textContent").split(" m")[0]) == pytest.approx(
+        10.0, abs=0.2
+    )
     focus(shown, "#map")
     shown.key("Escape")
     assert shown.run("document.getElementById('measured').textContent") == ""
@@ -140,7 +146,9 @@ def test_the_ruler_measures_metres(shown: Tab) -> None:
 
 def test_numbers_do_not_cover_each_other_at_any_zoom(shown: Tab) -> None:
     for _ in range(3):
-        boxes = shown.run("[...document.querySelectorAll('#map .number')].map((b) => (({x, y}) => [x, y])(b.getBoundingClientRect()))")
+        boxes = shown.run(
+            "[...document.querySelectorAll('#map .number')].map((b) => (({x, y}) => [x, y])(b.getBoundingClientRect()))"
+        )
         assert len(boxes) == 3
         assert all(math.dist(a, b) >= 26 for a in boxes for b in boxes if a is not b)
         width = shown.run(f"{PICTURE}.width")
@@ -162,7 +170,10 @@ def test_a_finger_reads_the_map(tab: Tab, page: Path) -> None:
 
 def test_the_route_has_a_profile(shown: Tab) -> None:
     assert shown.run("document.querySelector('#profile h3').textContent") == "The route to site 1"
-    assert re.fullmatch(r"The route to site 1: 21.4 m long, heights from 302.\d to 333.0 m", shown.run("document.querySelector('#profile svg').getAttribute('aria-label')"))
+    assert re.fullmatch(
+        r"The route to site 1: 21.4 m long, heights from 302.\d to 333.0 m",
+        shown.run("document.querySelector('#profile svg').getAttribute('aria-label')"),
+    )
 
 
 def test_without_scripts_the_page_answers(tab: Tab, page: Path) -> None:

@@ -183,7 +183,7 @@ def test_warnings_settings_counts_and_notes_are_there(page: str) -> None:
     assert "nav0: 3 rows without attitude" in page
     assert "held at the calibration&#39;s 620.0 px" in page
     assert "frames dropped, file missing" in page
-    settings = html.unescape(re.search(r"<pre>(.*?)</pre>", page, re.S).group(1))
+    settings = html.unescape(re.search(r"<pre.*?>(.*?)</pre>", page, re.S).group(1))
     assert load_settings(settings) == some_run().settings
 
 

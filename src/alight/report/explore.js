@@ -222,9 +222,10 @@ function facts(place) {
     .map((name) => `${data.fields[name].title} ${text(name)}`);
   out.push(["Height", height ? height + (sigma ? ` ± ${sigma}` : "") : text("flags")]);
   out.push(["Slope", text("slope")], ["Largest bump", text("roughness")]);
-  out.push(["P(safe)", data.fields.p_safe ? chance || "cannot be judged" : null]);
-  out.push(["made of", chance && factors.length ? factors.join(", ") : null]);
-  out.push(["Smallest obstacle found", text("resolved")], ["Verdict", text("reasons")]);
+  const refused = chance === "0 %"; // its factors are those of the limits that it keeps
+  out.push(["P(safe)", data.fields.p_safe ? (refused ? "0 %, refused" : chance || "cannot be judged") : null]);
+  out.push(["made of", chance && !refused && factors.length ? factors.join(", ") : null]);
+  out.push(["Verdict", text("reasons")], ["Smallest obstacle found", text("resolved")]);
   out.push(["Land cover", text("cover") && text("cover") + (sure ? ` (${sure} sure)` : "")]);
   out.push(["Height flags", height ? text("flags") : null], ["Pictures", text("views")]);
   return out.filter(([, value]) => value);

@@ -201,6 +201,7 @@ def _site_order(result: RunResult) -> str:
 
 def place_tables(result: RunResult) -> list[PlaceTable]:
     """Return the tables of sites and candidates, in order of rank; empty tables are omitted."""
+    step = result.settings.tuning.sites.chance_step
     sites, candidates = ([_row(result, s) for s in part] for part in (result.sites.sites, result.sites.candidates))
     found = (
         PlaceTable("The sites, best first", "site", SITE_COLUMNS, sites, f"{_site_order(result)} {_quality(result)}"),
@@ -209,8 +210,8 @@ def place_tables(result: RunResult) -> list[PlaceTable]:
             "candidate",
             CANDIDATE_COLUMNS,
             candidates,
-            "Candidates are in order of the chance around them, in steps of "
-            f"{words.percent(result.settings.tuning.sites.chance_step)}, and within a step of quality. {_quality(result)}",
+            f"Candidates are in order of the chance around them, in steps of {words.percent(step)}, and within a step "
+            f"of quality. {_quality(result)}",
         ),
     )
     return [t for t in found if t.rows]

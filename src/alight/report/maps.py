@@ -63,21 +63,31 @@ def film(result: RunResult) -> list[Figure]:
 
 
 def _frame(number: int, p: LookPicture, result: RunResult) -> Figure:
-    photo = paint.rgba(p.photo, np.asarray(p.photo.any(axis=2)))
-    safe = paint.rgba(paint.colour_ramp(p.p_safe, 0.0, 1.0, paint.SAFE_RAMP), np.isfinite(p.p_safe))
-    side = len(photo)
-    gap = np.zeros((6, side, 4), np.uint8)
-    radius = result.settings.lander.radius / p.reach * side / 2
-    both = np.vstack([_with_footprint(photo, radius), gap, _with_footprint(safe, radius)])
+    both = look_frame(p, result.settings.lander.radius)
     doubt = f"; the doubt: {p.look.doubt}" if p.look.doubt else ""
     return Figure(
         title=f"Look {number}, from {p.look.height:.1f} m",
         alt=f"Look {number}: photo and P(safe) of {2 * p.reach:.0f} m about the place",
         uri=canvas.embedded(canvas.webp(both)),
-        height=round(canvas.WIDTH * both.shape[0] / side, 1),
+        height=round(canvas.WIDTH * both.shape[0] / both.shape[1], 1),
         caption=f"at {p.look.t:.0f} s: {p.look.verdict}, P(safe) {p_safe_text(p.look.p_safe)}{doubt}",
         classes=("film",),
     )
+
+
+def look_frame(p: LookPicture, radius: float) -> U8:
+    """Return the RGBA picture of a look: photo above, P(safe) below, with the footprint of `radius` metres."""
+    photo = paint.rgba(p.photo, np.asarray(p.photo.any(axis=2)))
+    safe = paint.rgba(paint.colour_ramp(p.p_safe, 0.0, 1.0, paint.SAFE_RAMP), np.isfinite(p.p_safe))
+    side, gap = len(photo), np.zeros((6, len(photo), 4), np.uint8)
+    pixels = radius / p.reach * side / 2
+    return np.vstack([_with_footprint(photo, pixels), gap, _with_footprint(safe, pixels)])
+
+
+def film_strip(pictures: Sequence[LookPicture], radius: float) -> bytes | None:
+    """Return the frames of all looks side by side as a small WebP picture; None: there is no look."""
+    frames = [canvas.shrink(look_frame(p, radius), 240) for p in pictures]
+    return canvas.webp(np.hstack(frames)) if frames else None
 
 
 def _with_footprint(picture: U8, radius: float) -> U8:
