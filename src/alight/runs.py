@@ -127,5 +127,6 @@ def result_of(
     }  # fmt: skip
     return RunResult(
         source_name=source.name, source_kind=source.kind, local=source.local, georeferenced=source.georeferenced,
-        settings=settings, counts=source.counts, photos=photos, timings=timings, **found,
+        settings=settings, cameras=[c.camera for c in source.rig.cameras], counts=source.counts, photos=photos,
+        timings=timings, **found,
     )  # fmt: skip

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import base64
 import html
+import json
 import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +22,7 @@ from alight.report import canvas, facts, figures, maps, paint, render, words
 from alight.report.maps import film
 from alight.settings import load_settings
 
-VOID = {"meta", "image", "circle", "line", "path"}
+VOID = {"meta", "image", "circle", "line", "path", "input"}
 
 
 class Page(HTMLParser):
@@ -49,6 +51,15 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def page() -> str:
     return render(some_run())
+
+
+def without_scripts(text: str) -> str:
+    return re.sub(r"<script>.*?</script>|<script type.*?</script>", "", text, flags=re.S)
+
+
+def map_data(text: str) -> dict[str, Any]:
+    """Return the data of the page's map."""
+    return json.loads(re.search(r'<script type="application/json" id="map-data">(.*?)</script>', text, re.S).group(1))
 
 
 def picture(uri: str) -> np.ndarray:
@@ -147,9 +158,11 @@ def test_it_needs_nothing_but_itself(page: str) -> None:
     assert parsed.open == []
     links = [v for _, k, v in parsed.attributes if k in {"href", "src", "xlink:href", "action"}]
     assert links
-    assert all(v.startswith(("data:image/", "geo:")) for v in links)
+    assert all(v.startswith(("data:image/", "geo:", "#")) for v in links)
+    policy = next(v for tag, k, v in parsed.attributes if tag == "meta" and v.startswith("default-src"))
+    assert policy.startswith("default-src 'none'; img-src data:;")
     for word in ("<script", "http:", "https:", "@import", "url("):
-        assert word not in page
+        assert word not in without_scripts(page)
 
 
 def test_names_from_outside_are_escaped(page: str) -> None:
@@ -161,7 +174,7 @@ def test_pictures_can_be_read_aloud(page: str) -> None:
     parsed = Page(page)
     count = sum(1 for tag, k, _ in parsed.attributes if tag == "svg" and k == "role")
     labels = [v for tag, k, v in parsed.attributes if tag == "svg" and k == "aria-label"]
-    assert len(labels) == count == 1 + 2 + 6
+    assert len(labels) == count == 1 + 3 + 1  # from above, two sites and a relief, the profile
     assert all(labels)
     assert len(set(labels)) == count
 
@@ -170,7 +183,7 @@ def test_warnings_settings_counts_and_notes_are_there(page: str) -> None:
     assert "nav0: 3 rows without attitude" in page
     assert "held at the calibration&#39;s 620.0 px" in page
     assert "frames dropped, file missing" in page
-    settings = html.unescape(re.search(r"<pre>(.*?)</pre>", page, re.S).group(1))
+    settings = html.unescape(re.search(r"<pre.*?>(.*?)</pre>", page, re.S).group(1))
     assert load_settings(settings) == some_run().settings
 
 
@@ -205,7 +218,8 @@ def test_unknown_numbers_are_called_unknown() -> None:
     odd = replace(site(), clearance=math.nan, heading=math.nan, radius=math.nan)
     text = render(some_run(sites=Sites((odd,))))
     assert "unknown clear" in text
-    assert not re.search(r"[^a-z]nan[^a-z]", re.sub(r"data:image[^\"]*", "", text))
+    assert not re.search(r"[^a-z]nan[^a-z]", re.sub(r"data:image[^\"]*", "", without_scripts(text)))
+    json.dumps(map_data(text), allow_nan=False)
 
 
 def test_a_mark_lies_on_its_place() -> None:

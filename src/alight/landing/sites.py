@@ -199,6 +199,14 @@ def _peaks(score: F64, grid: Grid, count: int, apart: float, taken: list[Cell]) 
     return found
 
 
+def _spread(score: F64, hazards: HazardMap, count: int, apart: float, taken: list[Cell]) -> list[Cell]:
+    """Return up to `count` best cells, best first, spread over the judged ground; nearer ones only if others are few."""
+    area = float(np.isfinite(hazards.p_safe).sum()) * hazards.grid.cell**2
+    found = _peaks(score, hazards.grid, count, max(apart, math.sqrt(area / max(count, 1))), taken)
+    found += _peaks(score, hazards.grid, count - len(found), apart, taken + found)
+    return sorted(found, key=score.__getitem__, reverse=True)
+
+
 def choose_sites(
     hazards: HazardMap,
     land_cover: TerrainMap | None,
@@ -227,7 +235,7 @@ def choose_sites(
     safe = _peaks(c.score(hazards.reasons == 0, hazards.clearance), grid, settings.count, apart, [])
     # a candidate's clearance is the distance to refused cells; undecided cells do not reduce it
     room = clearance_of((hazards.reasons & ~np.uint16(Hazard.DOUBT)) == 0, grid.cell)
-    undecided = _peaks(c.candidate_score(room), grid, settings.count - len(safe), apart, safe)
+    undecided = _spread(c.candidate_score(room), hazards, settings.count - len(safe), apart, safe)
     sites = tuple(c.place(i + 1, at, hazards.clearance, False) for i, at in enumerate(safe))
     candidates = tuple(c.place(len(safe) + i + 1, at, room, True) for i, at in enumerate(undecided))
     reason = "" if sites else why_no_site(hazards, elevation, settings, lander)

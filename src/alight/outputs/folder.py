@@ -57,7 +57,7 @@ def _rasters(r: RunResult) -> Contents:
 def _sites(r: RunResult) -> Contents:
     if r.sites.listed and not r.georeferenced:  # an answer without a site or candidate needs no place on Earth
         return {"sites.geojson": NO_PLACE}
-    covariance = r.elevation.position_covariance if r.elevation is not None else None
+    covariance = r.elevation.place_covariance if r.elevation is not None else None
     return {"sites.geojson": lambda: vectors.json_bytes(vectors.sites_geojson(r.sites, r.local, covariance))}
 
 
@@ -84,9 +84,10 @@ def _wires(r: RunResult) -> Contents:
     return {"wires.geojson": lambda: vectors.json_bytes(vectors.wires_geojson(wires, r.local))}
 
 
-def report_file(result: RunResult) -> Contents:
-    """Return the report as an entry for `write_folder`."""
-    return {"report.html": lambda: report.render(result).encode("utf-8", vectors.UNENCODABLE)}
+def report_file(result: RunResult, others: Contents) -> Contents:
+    """Return the report as an entry for `write_folder`; it lists the `others`, or why they are not written."""
+    files = {name: made if isinstance(made, str) else "" for name, made in (others | {RUN_JSON: bytes}).items()}
+    return {"report.html": lambda: report.render(result, files).encode("utf-8", vectors.UNENCODABLE)}
 
 
 def contents(r: RunResult) -> Contents:
@@ -96,7 +97,8 @@ def contents(r: RunResult) -> Contents:
         name: partial(make, r.motions) if r.motions else "the motion was not estimated" for name, make in makers.items()
     }
     # the answer first: on a full disk, the small and most important files still fit
-    return _sites(r) | _route(r) | _wires(r) | motion | _rasters(r) | report_file(r) | dict(r.not_written)
+    files = _sites(r) | _route(r) | _wires(r) | motion | _rasters(r)
+    return files | report_file(r, files | dict(r.not_written)) | dict(r.not_written)
 
 
 def timing_summary(timings: Mapping[str, Any]) -> dict[str, dict[str, float]]:

@@ -64,8 +64,8 @@ def dem_raster(elevation: ElevationMap, local: LocalFrame, georeferenced: bool) 
         "refused_flags": ",".join(f.name.lower() for f in Flag if f in REFUSED and f.name),
     }
     common = common_tags(elevation.datum)
-    if elevation.position_covariance is not None:
-        sigmas = np.sqrt(np.maximum(np.diag(elevation.position_covariance), 0.0))
+    if (covariance := elevation.place_covariance) is not None:
+        sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         common["POSITION_SIGMA_M"] = ",".join(f"{v:.4f}" for v in sigmas)  # east, north, up
     return RasterFile(elevation.grid, bands, ("height", "sigma"), ("m", "m"), np.nan, tags, common)
 

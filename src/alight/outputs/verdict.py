@@ -84,15 +84,15 @@ def _contents(result: RunResult, plane: RasterPlane | None, sharpened: bool) -> 
         return lambda: rasters.encode(own, plane.crs if plane else CRS.from_wkt(LOCAL_WKT))
 
     names, units = ("slope", "roughness", "step", "clearance", "quality"), ("rad", "m", "m", "m", "")
-    return {
+    files: Contents = {
         "safe.tif": tif(rasters.safe_raster(hazards)),
         "reasons.tif": tif(rasters.reasons_raster(hazards)),
         "hazards.tif": tif(rasters.measures_raster(hazards, names, units)),
         "heights.tif": tif(_heights(elevation)) if sharpened else "no image made the heights finer",
         **({} if result.terrain is None else {"terrain.tif": tif(rasters.terrain_raster(result.terrain))}),
         "sites.geojson": NO_PLACE if sites is None else lambda: vectors.json_bytes(sites),
-        **report_file(result),
     }
+    return files | report_file(result, files)
 
 
 def write_judgement(

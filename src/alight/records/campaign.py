@@ -130,6 +130,7 @@ class LandingRecord(_Line):
     nearest: float | None = None  # metres, least height of the feet above everything in the footprint before the commit
     verdicts: int = 0  # number of verdicts on the map
     picture: str | None = Field(None, pattern=r"^[\w-]+\.webp$")  # file next to landings.jsonl
+    film: str | None = Field(None, pattern=r"^[\w-]+\.webp$")  # file next to landings.jsonl: what the looks saw
     error: str | None = None  # exception that ended the landing, in one line; None: no exception
     cpu_s: float = 0.0  # CPU time; differs between runs
     cpu_of: dict[

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from alight.geometry import LocalFrame
+from alight.geometry import Camera, LocalFrame
 from alight.records.landing import HazardMap, Route, Sites
 from alight.records.motion import Motion
 from alight.records.photos import PhotoOutcome, PhotoRow
@@ -46,6 +46,7 @@ class RunResult(Decision):
     local: LocalFrame
     georeferenced: bool  # False: `local` is a placeholder and the world has no absolute position
     settings: Settings
+    cameras: Sequence[Camera] = ()  # of the rig, or of the set of photos
     home: Home | None = None  # home of the vehicle that will fly the route
     diary: FlightDiary | None = None  # diary of a landing that was flown
     counts: Mapping[str, int] = field(default_factory=dict)  # "frames read": 32, "frames dropped, cut off": 1

@@ -172,6 +172,15 @@ class ElevationMap(Heights):
         """Mask of the cells whose height is finite and trusted, (R, C)."""
         return np.asarray(np.isfinite(self.height) & is_trusted(self.flags))
 
+    @property
+    def place_covariance(self) -> F64 | None:
+        """Covariance of the ground's absolute position, (3, 3) m^2: of the poses, upwards of the heights if larger."""
+        if self.position_covariance is None or self.datum is None:
+            return self.position_covariance
+        out = self.position_covariance.copy()
+        out[2, 2] = max(out[2, 2], self.datum.covariance[0, 0])
+        return out
+
     def refused(self) -> ElevationMap:
         """Return the map with all heights refused, as when their scale is unknown."""
         return replace(self, flags=self.flags | np.uint16(Flag.UNSURE))
@@ -211,6 +220,12 @@ class TerrainMap(OnGrid):
     novelty: F32  # (R, C) novelty (T6): above 1, unlike all ground of the training set; NaN = unseen
     bears: F32  # (R, C) probability of firm, dry ground, rock included; NaN = unseen
     coloured: bool = True  # False: the pictures were grey, so that no colour veto applied
+
+    @property
+    def confidence(self) -> F32:
+        """Probability of water where the class is water, else of (un)landable ground as the class is, (R, C)."""
+        landable = np.isin(self.label, LANDABLE)
+        return np.where(self.label == Terrain.WATER, self.water, np.where(landable, self.landable, 1 - self.landable))
 
     def with_roofs(self, raised: F32) -> TerrainMap:
         """Mark cells as structures, which are not landable, where `raised` (R, C), 0 to 1, is above 0.5."""

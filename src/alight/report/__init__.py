@@ -1,15 +1,25 @@
-"""The report of a run as one HTML page without scripts: answer, pictures, numbers, warnings."""
+"""The report of a run as one HTML page: the answer without scripts, and with them a map to explore."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
+from dataclasses import asdict
+from importlib import resources
+from typing import Any
+
 import jinja2
+from markupsafe import Markup
 
 from alight import __version__
 from alight.documents import printable
-from alight.records import PHOTO_COLUMNS, RunResult
-from alight.report import canvas, facts, figures, maps
+from alight.records import PHOTO_COLUMNS, ElevationMap, RunResult
+from alight.report import canvas, facts, figures, maps, paint, survey, words
+from alight.report.canvas import Canvas
 from alight.report.facts import warnings
-from alight.report.figures import Figure
+from alight.report.fields import trees
+from alight.report.layers import layers_of
+from alight.report.shapes import geodetic, shapes_of
 
 __all__ = ["TEMPLATES", "render", "warnings"]
 
@@ -21,40 +31,69 @@ TEMPLATES = jinja2.Environment(
     lstrip_blocks=True,
     undefined=jinja2.StrictUndefined,
 )
+TEMPLATES.filters["metres"] = words.metres
 
 
-def _pictures(result: RunResult) -> tuple[Figure | None, list[Figure], list[Figure]]:
-    elevation = result.elevation
-    places = [(s.east, s.north) for s in result.sites.listed]
-    window = canvas.whole(elevation, places) if elevation is not None else None
-    if elevation is None or window is None:
-        return None, [], []
-    overview, closeups = figures.overview(result, elevation, window), figures.closeups(result, elevation)
-    below = maps.all_maps(result, elevation, window)
-    if not closeups and result.hazards is not None:  # without a listed place, the reasons are the answer
-        return overview, below[:1], below[1:]
-    return overview, closeups, below
+def _leaflet(name: str) -> Markup:
+    """Return a file of Leaflet; its style sheet without comments and without links to its own pictures.
+
+    Leaflet was chosen over OpenSeadragon, which shows pictures only, and MapLibre, which needs WebGL and a globe: it
+    shows pictures and shapes in metres, is used with mouse, keys and fingers, and adds 150 kB to the page.
+    """
+    text = resources.files("alight.report").joinpath("vendor", "leaflet", name).read_text()
+    return Markup(re.sub(r"/\*.*?\*/|url\([^)]*\)", "", text, flags=re.DOTALL) if name.endswith("css") else text)
 
 
-def render(result: RunResult) -> str:
-    """Return the report of a run as one HTML page with embedded pictures; it needs neither network nor script."""
-    overview, beside, below = _pictures(result)
+def _map(result: RunResult, elevation: ElevationMap, window: Canvas) -> dict[str, Any]:
+    """Return the data of the map, for explore.js."""
+    layers = list(layers_of(result, elevation))
+    return {
+        "picture": vars(window.grid),
+        "shade": window.uri(paint.paint_shade(elevation)),
+        "fields": trees({layer.name: layer.field for layer in layers}),
+        "layers": [{"name": layer.name, "colours": asdict(layer.colours)} for layer in layers if layer.colours],
+        "shapes": [shape._asdict() for shape in shapes_of(result)],
+        "geodetic": geodetic(result, window.grid),
+        "origin": result.local.height if result.georeferenced else 0.0,
+    }
+
+
+def _pictures(result: RunResult) -> dict[str, Any]:
+    """Return the pictures and the map of the page by their names in the template."""
+    e = result.elevation
+    window = canvas.whole(e, [(s.east, s.north) for s in result.sites.listed]) if e is not None else None
+    if e is None or window is None:
+        return {"overview": None, "map": None}
+    hazards = None if result.sites.listed else result.hazards_as_mapped  # without a place, the reasons are the answer
+    return {
+        "overview": figures.overview(result, e, window),
+        "beside": [] if hazards is None else [maps.reasons_figure(hazards, e, window)],
+        "closeups": figures.closeups(result, e),
+        "map": _map(result, e, window),
+        "leaflet": {name: _leaflet(f"leaflet.{name}") for name in ("css", "js")} | {"licence": _leaflet("LICENSE")},
+    }
+
+
+def render(result: RunResult, files: Mapping[str, str] | None = None) -> str:
+    """Return the report of a run as one HTML page that needs no network, and no script for the answer.
+
+    `files`: names of the files beside the page, with the reasons of those that are not written, else empty.
+    """
     return TEMPLATES.get_template("page.html.j2").render(
+        **_pictures(result),
         version=__version__,
         result=result,
         answer=facts.answer(result),
-        overview=overview,
-        beside=beside,
-        below=below,
         warnings=warnings(result),
         tables=facts.place_tables(result),
         diary=facts.diary_rows(result),
         film=maps.film(result),
         facts=facts.run_facts(result),
         details=facts.details(result),
+        residuals=survey.gps_residuals(result),
         photos=[row.cells for row in result.photos],
         photo_columns=PHOTO_COLUMNS,
         times=facts.times(result.timings),
-        missing=dict(result.not_written),
+        files=facts.file_rows(result.not_written if files is None else files),
         settings=result.settings.to_yaml(),
     )

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from alight.records import Flag, Kind, PlaceSigma, RunResult, Site
-from alight.report import words
+from alight.report import survey, words
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,7 @@ class PlaceTable:
     kind: Kind
     columns: Sequence[str]
     rows: Sequence[Row]
+    hint: str  # what the order and the quality mean
 
 
 def answer(result: RunResult) -> Answer:
@@ -96,9 +97,14 @@ NO_CLEARANCE = (
 
 
 def _place_sigma(result: RunResult) -> PlaceSigma | None:
-    if not result.georeferenced or result.elevation is None or result.elevation.position_covariance is None:
+    if not result.georeferenced or result.elevation is None or result.elevation.place_covariance is None:
         return None
-    return PlaceSigma.of(result.elevation.position_covariance)
+    return PlaceSigma.of(result.elevation.place_covariance)
+
+
+def _place_text(result: RunResult) -> str:
+    sigma = _place_sigma(result)
+    return words.UNKNOWN if sigma is None else "± {} across, ± {} up".format(*map(words.metres, sigma))
 
 
 def cautions(result: RunResult, site: Site) -> tuple[str, ...]:
@@ -115,8 +121,7 @@ def cautions(result: RunResult, site: Site) -> tuple[str, ...]:
 
 def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
     """Return facts about a site or candidate as (label, value): P(safe), doubt, shape and accuracy."""
-    lander, sigma = result.settings.lander, _place_sigma(result)
-    place = words.UNKNOWN if sigma is None else "± {} across, ± {} up".format(*map(words.metres, sigma))
+    lander = result.settings.lander
     look = [("Doubt", words.doubt(site)), ("Look again from", words.look_from(site))] if site.doubt else []
     safe = "Chance of a safe touchdown" if result.sites.ground_judged else "Chance that the shape is safe"
     return [
@@ -128,7 +133,8 @@ def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
         ("Ground", words.ground(site.terrain.name)),
         ("Touch down heading", words.bearing(site.heading)),
         ("Height within the map, 1-sigma", f"± {words.metres(site.height_sigma)}"),
-        ("Place on Earth, 1-sigma" if result.georeferenced else "Place on Earth", place),
+        ("Place on Earth, 1-sigma" if result.georeferenced else "Place on Earth", _place_text(result)),
+        ("Altitude, WGS84" if result.georeferenced else "Height above the origin", words.altitude(result, site)),
     ]
 
 
@@ -137,7 +143,7 @@ def warnings(result: RunResult) -> list[str]:
     return list(dict.fromkeys([*result.warnings, *(result.route.warnings if result.route else ())]))
 
 
-COMMON_COLUMNS = ("Slope", "Largest bump", "Clear", "Ground", "Height ±", "Quality", "Place")
+COMMON_COLUMNS = ("Slope", "Largest bump", "Clear", "Ground", "Altitude", "Height ±", "Quality", "Place")
 SITE_COLUMNS = ("Site", "Safe", *COMMON_COLUMNS, "Safe disc", "Heading")
 CANDIDATE_COLUMNS = ("Candidate", "Safe", *COMMON_COLUMNS, "Doubt", "Look from")
 
@@ -150,12 +156,14 @@ def _row(result: RunResult, s: Site) -> Row:
         words.metres(s.roughness),
         words.metres(s.clearance),
         words.ground(s.terrain.name),
+        words.altitude(result, s),
         words.metres(s.height_sigma),
         f"{s.quality:.2f}",
         words.place(result, s),
     )
     if s.kind == "site":
-        return Row((*numbers, words.metres(s.radius), words.bearing(s.heading)), words.factors(s))
+        note = f"{words.factors(s)}; {_score(result, s)}"
+        return Row((*numbers, words.metres(s.radius), words.bearing(s.heading)), note)
     look = ""
     if s.look is not None:
         enough = "" if s.look.settles else "; its pixels are still too coarse to settle the doubt"
@@ -164,14 +172,65 @@ def _row(result: RunResult, s: Site) -> Row:
     return Row((*numbers, words.doubt(s), words.look_from(s)), words.factors(s) + look)
 
 
+def _score(result: RunResult, s: Site) -> str:
+    """Return the score by which sites are ranked, with its parts (G11)."""
+    weights = result.settings.tuning.sites
+    room = weights.room_weight * min(s.clearance / weights.roomy, 1.0)
+    doubt = weights.doubt_weight * (1 - s.p_safe)
+    if not math.isfinite(s.quality + room - doubt):
+        return "score unknown"
+    return f"score {s.quality + room - doubt:.2f}: quality {s.quality:.2f}, room {room:+.2f}, doubt {-doubt:.2f}"
+
+
+def _quality(result: RunResult) -> str:
+    return (
+        "Quality is 0 for level, even, well-measured ground of one brightness, and more negative for less: a slope at "
+        f"the lander's limit costs {result.settings.hazards.alpha:g}, a bump at its limit as much again."
+    )
+
+
+def _site_order(result: RunResult) -> str:
+    weights = result.settings.tuning.sites
+    away = " less the distance from the vehicle," if result.settings.sites.distance_weight else ""
+    return (
+        f"Sites are in order of score: quality,{away} plus up to {weights.room_weight:g} for room (at "
+        f"{weights.roomy:g} m clear), less {weights.doubt_weight / 100:g} for each percent that the chance lacks. So a "
+        "better place can stand before a slightly surer one."
+    )
+
+
 def place_tables(result: RunResult) -> list[PlaceTable]:
     """Return the tables of sites and candidates, in order of rank; empty tables are omitted."""
+    step = result.settings.tuning.sites.chance_step
     sites, candidates = ([_row(result, s) for s in part] for part in (result.sites.sites, result.sites.candidates))
     found = (
-        PlaceTable("The sites, best first", "site", SITE_COLUMNS, sites),
-        PlaceTable("Candidates: to look at before a landing", "candidate", CANDIDATE_COLUMNS, candidates),
+        PlaceTable("The sites, best first", "site", SITE_COLUMNS, sites, f"{_site_order(result)} {_quality(result)}"),
+        PlaceTable(
+            "Candidates: to look at before a landing",
+            "candidate",
+            CANDIDATE_COLUMNS,
+            candidates,
+            f"Candidates are in order of the chance around them, in steps of {words.percent(step)}, and within a step "
+            f"of quality. {_quality(result)}",
+        ),
     )
     return [t for t in found if t.rows]
+
+
+FILES: Mapping[str, str] = {
+    "dem.tif": "heights and their 1-sigma", "flags.tif": "why a height is missing or doubtful",
+    "ortho.tif": "the picture from above", "terrain.tif": "land cover", "safe.tif": "P(safe) and its factors",
+    "reasons.tif": "why a touchdown is refused or doubtful", "hazards.tif": "slope, bumps, steps, clearance, quality",
+    "heights.tif": "heights made finer by the image", "sites.geojson": "sites and candidates",
+    "route.plan": "the route to site 1, for QGroundControl", "route.geojson": "the route with times and speeds",
+    "wires.geojson": "wires over the ground", "trajectory.tum": "estimated poses, for evo",
+    "trajectory.csv": "poses, velocities and their 1-sigma", "run.json": "everything in this report, for programs",
+}  # fmt: skip
+
+
+def file_rows(files: Mapping[str, str]) -> list[tuple[str, str, str]]:
+    """Return a row per file: its name, its name if it is a link, and what it holds or why it was not written."""
+    return [(n, "" if why else n, f"not written: {why}" if why else FILES.get(n, "")) for n, why in files.items()]
 
 
 def _map_facts(result: RunResult) -> list[tuple[str, str]]:
@@ -185,9 +244,14 @@ def _map_facts(result: RunResult) -> list[tuple[str, str]]:
     if e.trusted.any():
         sigma = float(np.median(e.relative_sigma[e.trusted]))
         facts.append(("height 1-sigma within the map, median", words.metres(sigma)))
+    if e.position_covariance is not None and result.georeferenced:
+        facts.append(("place of the whole map on Earth, 1-sigma", _place_text(result)))
     if e.datum is not None:
-        facts.append(("height 1-sigma of the whole map", words.metres(e.datum.offset_sigma)))
         facts.append(("tilt 1-sigma of the whole map", f"{1e3 * e.datum.tilt_sigma:.1f} mrad"))
+    if (share := survey.overlap(survey.footprints(result))) is not None:
+        facts.append(("overlap of a picture with the next, median", words.percent(share)))
+    if seen.any():
+        facts.append(("pictures that see a place, median", f"{np.median(e.views[seen]):.0f}"))
     return facts
 
 

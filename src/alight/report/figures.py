@@ -30,16 +30,6 @@ class Key:
 
 
 @dataclass(frozen=True)
-class Scale:
-    """A colour ramp with the texts at its ends and middle."""
-
-    colours: Sequence[str]
-    low: str
-    middle: str
-    high: str
-
-
-@dataclass(frozen=True)
 class Mark:
     """One site or candidate on a picture, page units."""
 
@@ -74,10 +64,10 @@ class Figure:
     bar: Bar | None = None
     caption: str = ""
     keys: Sequence[Key] = ()
-    scale: Scale | None = None
     flown: str = ""  # SVG points of the flight path
     route: str = ""  # SVG points of the route
     classes: Sequence[str] = ()
+    place: int = 0  # rank of the site or candidate that it shows
 
 
 def scale_bar(c: Canvas, share: float = 0.22) -> Bar:
@@ -144,7 +134,7 @@ def overview(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
     return Figure(
         title="The ground from above",
         alt=f"Orthophoto, north up, with {shown}",
-        uri=c.uri(paint.paint_ortho(elevation)),
+        uri=photo(elevation, c, 2000),
         height=round(c.height, 1),
         marks=marks(result, c),
         bar=scale_bar(c),
@@ -155,29 +145,31 @@ def overview(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
     )
 
 
+def photo(elevation: ElevationMap, c: Canvas, longest: int) -> str:
+    """Return the finest orthophoto of a canvas as a data URI, with at most `longest` pixels along its longer side."""
+    picture, n = elevation.picture(max(c.grid.shape) * c.grid.cell / longest)
+    seen = c.cut(elevation.views > 0).repeat(n, axis=0).repeat(n, axis=1)
+    rgba = paint.rgba(Canvas(c.grid.finer(n), n * c.row, n * c.col).cut(picture), seen)
+    return canvas.embedded(canvas.webp(canvas.shrink(rgba, longest)))
+
+
 def closeups(result: RunResult, elevation: ElevationMap) -> list[Figure]:
-    """Return close-ups of the first site or candidate: photo and relief, for a check by eye."""
-    if not result.sites.listed:
-        return []
-    best = result.sites.listed[0]
-    name = f"{best.kind.capitalize()} {best.rank}"
-    radius = result.settings.lander.radius
-    c = canvas.about(elevation.grid, best.east, best.north, max(3.2 * radius, radius + 3.0))
-    near = c.cut(np.where(elevation.trusted, elevation.height, np.nan).astype(np.float32))
-    low, high = paint.span(near[near != 0], 1, 99)
-    common: dict[str, Any] = {
-        "height": round(c.height, 1),
-        "marks": marks(result, c),
-        "bar": scale_bar(c),
-        "classes": ("near",),
-    }
-    return [
-        Figure(f"{name}, the photo", f"Orthophoto of {name.lower()}", c.uri(paint.paint_ortho(elevation)), **common),
-        Figure(
-            f"{name}, the relief",
-            f"Shaded heights of {name.lower()}",
-            c.uri(paint.paint_heights(elevation, low, high)),
-            caption=f"colours span {words.metres(high - low)} of height",
-            **common,
-        ),
-    ]
+    """Return the photo of each site and candidate for a check by eye; of the first one also the relief."""
+    out, radius = [], result.settings.lander.radius
+    for place in result.sites.listed:
+        c = canvas.about(elevation.grid, place.east, place.north, max(3.2 * radius, radius + 3.0))
+        name = f"{place.kind.capitalize()} {place.rank}"
+        common: dict[str, Any] = {
+            "height": round(c.height, 1), "marks": marks(result, c), "bar": scale_bar(c), "classes": ("near",),
+            "place": place.rank,
+        }  # fmt: skip
+        alt, uri = f"Orthophoto of {name.lower()}", photo(elevation, c, 480)
+        first = place is result.sites.listed[0]
+        out.append(Figure(f"{name}, the photo" if first else name, alt, uri, **common))
+        if first:
+            near = c.cut(np.where(elevation.trusted, elevation.height, np.nan).astype(np.float32))
+            low, high = paint.span(near[near != 0], 1, 99)
+            uri, alt = c.uri(paint.paint_heights(elevation, low, high)), f"Shaded heights of {name.lower()}"
+            caption = f"colours span {words.metres(high - low)} of height"
+            out.append(Figure(f"{name}, the relief", alt, uri, caption=caption, **common))
+    return out

@@ -16,7 +16,7 @@ from alight.records import ElevationMap, Flag, Hazard, Terrain
 Colour = tuple[int, int, int]
 Ramp = Sequence[str]
 
-HEIGHT_RAMP: Ramp = ("#2c5c74", "#4f9a8c", "#a9c77b", "#efd98f", "#dc9a66", "#f7ebe1")
+HEIGHT_RAMP: Ramp = ("#440154", "#414487", "#2a788e", "#22a884", "#7ad151", "#fde725")  # viridis
 SIGMA_RAMP: Ramp = ("#fff3dc", "#fdc58a", "#ee7b4c", "#b6272c", "#5c0a24")
 SAFE_RAMP: Ramp = ("#7d3c05", "#c58a3d", "#f2e3bd", "#7cc4b4", "#02655c")
 
@@ -29,6 +29,8 @@ class Reason(NamedTuple):
 
 
 SAFE_COLOUR = "#12a37a"
+FIT = Reason("fit for a touchdown", SAFE_COLOUR)
+FOUND = Reason("height found", "#00000000")  # such cells are not painted
 HAZARDS: Mapping[Hazard, Reason] = {  # in order of precedence: the first reason that holds is shown
     Hazard.TERRAIN: Reason("wrong kind of ground", "#2878b5"),
     Hazard.STEP: Reason("a step", "#d1495b"),
@@ -64,6 +66,11 @@ TERRAIN_COLOURS: Mapping[Terrain, str] = {
     Terrain.PAVED: "#b0b2b8",
     Terrain.STRUCTURE: "#c44338",
 }
+
+
+def texts(bits: int, reasons: Mapping[Any, Reason], none: Reason) -> str:
+    """Return the texts of all reasons whose bits are set in `bits`; that of `none` if no bit is set."""
+    return "; ".join(reason.text for bit, reason in reasons.items() if bits & bit) or none.text
 
 
 def rgb(colour: str) -> Colour:
@@ -120,23 +127,18 @@ def paint_heights(elevation: ElevationMap, low: float, high: float) -> U8:
     return rgba(colour_ramp(elevation.height, low, high, HEIGHT_RAMP) * shade[..., None], known)
 
 
-def paint_ortho(elevation: ElevationMap) -> U8:
-    """Return the orthophoto as an RGBA picture."""
-    return rgba(elevation.rgb, elevation.views > 0)
+def paint_shade(elevation: ElevationMap) -> U8:
+    """Return the hill shading as a grey RGBA picture, to be multiplied with others: level ground is light grey."""
+    grey = 217 * hillshade(elevation.height, elevation.trusted, elevation.grid.cell)
+    return rgba(np.broadcast_to(grey[..., None], (*grey.shape, 3)), elevation.trusted)
 
 
-def over_ground(
-    colours: NDArray[Any], elevation: ElevationMap, painted: NDArray[np.bool_] | None = None, strength: float = 0.72
-) -> U8:
-    """Return colours blended by `strength` over the grey ground where `painted` (R, C) is true (None: everywhere)."""
+def over_ground(colours: NDArray[Any], elevation: ElevationMap, strength: float = 0.72) -> U8:
+    """Return colours blended by `strength` over the grey ground."""
     grey = grey_levels(elevation.rgb).astype(np.float32)
     low, high = span(grey[elevation.views > 0], 2, 98)
     ground = np.clip((grey - low) / max(high - low, 1.0), 0, 1) * np.float32(255)
-    share = np.where(True if painted is None else painted, np.float32(strength), np.float32(0))
-    laid = np.asarray(colours, np.float32).copy()
-    for k in range(3):
-        laid[..., k] += (1 - share) * (ground - laid[..., k])
-    return rgba(laid, elevation.views > 0)
+    return rgba(strength * colours + (1 - strength) * ground[..., None], elevation.views > 0)
 
 
 def first_reason(bits: NDArray[Any], order: Sequence[int]) -> NDArray[np.int8]:

@@ -109,6 +109,12 @@ def place(result: RunResult, at: Site | NextView) -> str:
     return f"{abs(float(latitude)):.6f}°\N{NO-BREAK SPACE}{ns}, {abs(float(longitude)):.6f}°\N{NO-BREAK SPACE}{ew}"
 
 
+def altitude(result: RunResult, site: Site) -> str:
+    """Return the height of a site as text: above the WGS84 ellipsoid or, without a place on Earth, above the origin."""
+    up = result.local.to_geodetic([site.east, site.north, site.up])[2] if result.georeferenced else site.up
+    return f"{float(up):.1f} m"
+
+
 def geo_uri(result: RunResult, site: Site) -> str:
     """Return the position of a site as a `geo:` link for map programs; empty if its place on Earth is unknown."""
     if not result.georeferenced:

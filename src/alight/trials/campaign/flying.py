@@ -24,6 +24,7 @@ from alight.records.campaign import (
     TransitionLine,
 )
 from alight.records.executive import FlightState
+from alight.report.maps import film_strip
 from alight.runs import appearance_of
 from alight.settings import Settings
 from alight.trials.campaign.faults import Happenings
@@ -43,10 +44,11 @@ FlyLanding = Callable[..., Landing]
 
 
 class Flown(NamedTuple):
-    """The record of a landing, and a picture (WebP) of an unsafe touchdown."""
+    """The record of a landing, and as WebP a picture of an unsafe touchdown and the film of its looks."""
 
     record: LandingRecord
     picture: bytes | None = None
+    film: bytes | None = None
 
 
 def fly_conditions(conditions: Conditions, settings: Settings, fly: FlyLanding = fly_landing) -> Flown:
@@ -134,6 +136,7 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
     if judged.outcome == "landed unsafely" and (at := judged.touchdown or judged.strike):
         picture = ground_picture(vehicle.world, at, settings.lander.radius, vehicle.bodies)
     found = [x for x in landing.diary.transitions if x.after is FlightState.APPROACH]
+    film = film_strip(landing.diary.pictures, settings.lander.radius)
     record = LandingRecord(
         conditions=conditions.model_copy(update={"faults": happenings.faults}),
         **judged._asdict(), state=landing.state.value, p_at_commit=landing.p_at_commit,
@@ -143,8 +146,9 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
         seconds=landing.seconds, distance=happenings.distance, nearest=happenings.nearest, verdicts=landing.verdicts,
         cpu_of={name: round(s, 2) for name, s in landing.cpu_of.items()},
         picture=None if picture is None else f"landing-{conditions.landing:05d}.webp",
+        film=None if film is None else f"looks-{conditions.landing:05d}.webp",
     )  # fmt: skip
-    return Flown(record, picture)
+    return Flown(record, picture, film)
 
 
 class WorkerLostError(Exception):

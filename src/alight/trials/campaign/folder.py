@@ -109,6 +109,11 @@ class CampaignFolder:
             log.warning("%s: its last line is not whole (%s) and is left out", self._path, torn)
         return dict(sorted(found.items()))
 
+    def write_picture(self, name: str | None, picture: bytes | None) -> None:
+        """Write a picture or film of a landing; before its line, so that a line never names a missing file."""
+        if name is not None and picture is not None:
+            write_whole(self.out / name, picture)
+
     def append(self, record: LandingRecord, picture: bytes | None = None) -> None:
         """Append a landing; when this returns, the line is on the disk. The picture is written first.
 
@@ -116,8 +121,7 @@ class CampaignFolder:
             OutputError: the folder cannot be written.
         """
         try:
-            if picture is not None and record.picture is not None:
-                write_whole(self.out / record.picture, picture)
+            self.write_picture(record.picture, picture)
             with self._path.open("ab") as f:
                 f.write(record.model_dump_json().encode() + b"\n")
                 f.flush()

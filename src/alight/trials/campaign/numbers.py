@@ -104,7 +104,7 @@ def campaign_numbers(records: Sequence[LandingRecord]) -> CampaignNumbers:
         nearest=min((r.nearest for r in records if r.nearest is not None), default=None),
         bound=unsafe_bound(unsafe, known), touchdown_bound=unsafe_bound(unsafe, len(down)),
         ground_bound=unsafe_bound(ground, known), by_scene=_counts(records, lambda r: r.conditions.scene),
-        by_fault=_counts(records, _fault),
+        by_fault=_counts(records, fault_of),
         by_wind=_counts(records, _wind_range), by_sun=_counts(records, _sun_range),
         p_at_commit=tuple(_bins(down)), looks=tuple(_changes(records)),
         looks_each=float(np.mean([len(r.looks) for r in records])) if n else None,
@@ -126,7 +126,8 @@ def _counts(records: Sequence[LandingRecord], key: Callable[[LandingRecord], str
     return {row: {name: found[row][name] for name in OUTCOMES} for row in sorted(found)}
 
 
-def _fault(r: LandingRecord) -> str:
+def fault_of(r: LandingRecord) -> str:
+    """Return the name of the first fault of a landing that happened, or a text that none did."""
     return next(("planned, and never happened" if f.happened is None else f.what for f in r.conditions.faults), "none")
 
 
@@ -136,7 +137,7 @@ def _range(value: float, edges: Sequence[float], unit: str) -> str:
 
 
 def _wind_range(r: LandingRecord) -> str:
-    if _fault(r) == "strong wind":
+    if fault_of(r) == "strong wind":
         return "more than 6 m/s"
     return _range(r.conditions.wind_speed, (0.0, 2.0, 4.0, 6.0), "m/s")
 

@@ -11,7 +11,7 @@ import yaml
 from alight.records import p_safe_text
 from alight.records.campaign import OUTCOMES, CampaignHead, LandingRecord
 from alight.report import TEMPLATES, words
-from alight.trials.campaign.numbers import CPU_LIMIT, CampaignNumbers, Spread
+from alight.trials.campaign.numbers import CPU_LIMIT, CampaignNumbers, Spread, fault_of
 
 BAD = ("landed unsafely", "wrongly refused", "handed over", "failed")  # listed one by one
 
@@ -24,6 +24,21 @@ class CampaignTable:
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
+    filters: str = ""  # what the rows are ("world" or "fault"), if a count is a link to its landings
+
+
+@dataclass(frozen=True)
+class LandingRow:
+    """One landing in the table of all: what it is filtered by, its cells, and what the looks saw."""
+
+    number: int
+    world: str
+    fault: str
+    outcome: str
+    cells: Sequence[str]
+    note: str
+    film: str | None  # name of the file; None: it has none
+    uri: str | None  # the film as data URI; None: it is only linked
 
 
 def render_campaign(
@@ -31,7 +46,7 @@ def render_campaign(
     head: CampaignHead,
     records: Sequence[LandingRecord],
     numbers: CampaignNumbers,
-    pictures: Mapping[int, str],
+    pictures: Mapping[str, str],
     other: tuple[str, CampaignNumbers] | None = None,
 ) -> str:
     """Return the page of a campaign as HTML, with its pictures embedded.
@@ -41,7 +56,7 @@ def render_campaign(
         head: seed, scenes and settings.
         records: all landings.
         numbers: statistics of the landings.
-        pictures: data URIs of pictures, by number of the landing.
+        pictures: data URIs of pictures and films, by file name.
         other: name and statistics of a campaign to compare with; None: no comparison.
     """
     return TEMPLATES.get_template("campaign.html.j2").render(
@@ -52,7 +67,9 @@ def render_campaign(
         headline=_headline(numbers),
         detail=_detail(numbers),
         chips=[(outcome, str(count)) for outcome, count in numbers.outcomes.items()],
-        unsafe=[_unsafe(r, pictures.get(r.number)) for r in records if r.outcome == "landed unsafely"],
+        unsafe=[_unsafe(r, pictures.get(r.picture or "")) for r in records if r.outcome == "landed unsafely"],
+        landings=[_row(r, pictures) for r in records],
+        outcomes=OUTCOMES,
         tables=[t for t in _tables(name, head, records, numbers, other) if t.rows],
         settings=yaml.safe_dump(head.settings, sort_keys=False),
     )
@@ -75,6 +92,16 @@ def _detail(n: CampaignNumbers) -> str:
         f"{n.touchdowns} that touched down, and no more than {100 * n.ground_bound:.2g} % of all on unsafe ground "
         "(Clopper-Pearson, one-sided; landings that failed are left aside)."
     )
+
+
+def _row(r: LandingRecord, pictures: Mapping[str, str]) -> LandingRow:
+    c, p = r.conditions, r.p_at_commit
+    cells = (
+        str(r.number), c.scene, fault_of(r), r.outcome, f"{c.wind_speed:.1f} m/s", str(len(r.looks)),
+        "" if p is None else p_safe_text(p), f"{r.seconds:.0f} s",
+    )  # fmt: skip
+    note = ". ".join(filter(None, (r.error or r.why, _faults(r))))
+    return LandingRow(r.number, c.scene, fault_of(r), r.outcome, cells, note, r.film, pictures.get(r.film or ""))
 
 
 def _unsafe(r: LandingRecord, uri: str | None) -> dict[str, str | None]:
@@ -110,7 +137,8 @@ def _tables(
         ("the height of the sun", "sun", n.by_sun),
     ):  # fmt: skip
         rows = [(row, *(str(c[o] or "") for o in OUTCOMES), str(sum(c.values()))) for row, c in counts.items()]
-        yield CampaignTable(f"Outcomes by {title}", (first, *OUTCOMES, "all"), rows)
+        filters = first if first in ("world", "fault") else ""
+        yield CampaignTable(f"Outcomes by {title}", (first, *OUTCOMES, "all"), rows, filters=filters)
     yield CampaignTable(
         "P(safe) at commit against what happened",
         ("P(safe)", "touchdowns", "ground safe", "ground unsafe", "mean P(safe)", "share safe"),

@@ -161,7 +161,8 @@ def fly_campaign(
         job = partial(fly_conditions, settings=campaign.settings, fly=fly)
         begun, before = time.monotonic(), campaign.landings - len(drawn)
         try:
-            for n, (record, picture) in enumerate(fly_all(drawn, job, jobs, scheduler), 1):
+            for n, (record, picture, film) in enumerate(fly_all(drawn, job, jobs, scheduler), 1):
+                folder.write_picture(record.film, film)
                 folder.append(record, picture)
                 each = (time.monotonic() - begun) / n
                 on_ended(Ended(record, before + n, campaign.landings, each * (len(drawn) - n)))
@@ -182,18 +183,23 @@ def _report(folder: CampaignFolder, head: CampaignHead, beside: Path | None) -> 
     numbers = campaign_numbers(records)
     other = None if beside is None else (beside.resolve().name, numbers_in(beside))
     folder.write_head(head, {"numbers": asdict(numbers)})
-    pictures = {r.number: uri for r in records if r.picture and (uri := _embedded(folder.out / r.picture))}
+    pictures = _pictures(folder.out, [r.picture for r in records] + [r.film for r in records])
     page = render_campaign(folder.out.resolve().name, head, records, numbers, pictures, other)
     write_whole(folder.out / PAGE, page.encode())
     return numbers
 
 
-def _embedded(path: Path) -> str | None:
-    try:
-        return embedded(read_bytes(path, 1_000_000))
-    except (OSError, DocumentError) as e:
-        log.warning("%s: cannot be read (%s); the report shows no picture of that touchdown", path, e)
-        return None
+def _pictures(out: Path, names: Sequence[str | None], most: int = 6_000_000) -> dict[str, str]:
+    """Return data URIs by file name, in this order until `most` characters are reached; the page links the others."""
+    found: dict[str, str] = {}
+    for name in filter(None, names):
+        if sum(map(len, found.values())) > most:
+            break
+        try:
+            found[name] = embedded(read_bytes(out / name, 1_000_000))
+        except (OSError, DocumentError) as e:
+            log.warning("%s: cannot be read (%s); the report does not show it", out / name, e)
+    return found
 
 
 def numbers_in(out: Path) -> CampaignNumbers:
