@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     )
     from alight.pipeline import Pipeline
     from alight.records import AlightError
-    from alight.result import Result
+    from alight.result import Result, read_result
     from alight.runner.opening import open_source
     from alight.settings import Lander, Settings
 
@@ -50,6 +50,7 @@ _HOME = {
     "Settings": "settings",
     "Lander": "settings",
     "Result": "result",
+    "read_result": "result",
     "AlightError": "records",
 }
 
@@ -66,6 +67,7 @@ __all__ = [
     "evaluate_appearance",
     "judge",
     "open_source",
+    "read_result",
     "run",
     "simulate",
     "train_appearance",

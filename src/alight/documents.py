@@ -181,5 +181,5 @@ def printable(text: str) -> str:
 
     Line breaks, tabs and spaces of any width stay.
     """
-    escaped = {c for c in text if not c.isprintable() and c not in "\n\t" and unicodedata.category(c) != "Zs"}
-    return text.translate({ord(c): c.encode("unicode_escape").decode() for c in escaped})
+    escaped = {c for c in set(text) if not c.isprintable() and c not in "\n\t" and unicodedata.category(c) != "Zs"}
+    return text if not escaped else text.translate({ord(c): c.encode("unicode_escape").decode() for c in escaped})

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from alight.outputs import write_run
+from alight.outputs.reading import read_evidence
 from alight.records import ElevationMap, HazardMap, Motion, Route, RunResult, Site, TerrainMap
-from alight.settings import Settings
+from alight.settings import Lander, Settings
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +103,24 @@ class Result:
             return None
         return float(self.record.local.to_geodetic([site.east, site.north, site.up])[2])
 
+    def judge(self, lander: Lander | None = None, settings: Mapping[str, Any] | None = None) -> Result:
+        """Judge the ground of this run for another lander or other limits: seconds, without motion and mapping.
+
+        Args:
+            lander: replaces the lander of the run; None: it is kept.
+            settings: other keys of the judgement, such as `{"hazards.p_safe": 0.9}`; the groups are `lander`,
+                `hazards`, `sites` and `route`.
+
+        Raises:
+            InputError: the run has no map.
+            SettingsError: a value is not valid, or the judgement does not use a key.
+        """
+        from alight.pipeline.again import judge_again, settings_to_judge
+
+        given = {} if lander is None else {"lander": lander.model_dump(mode="json")}
+        chosen = settings_to_judge(self.settings, {**given, **(settings or {})})
+        return Result(judge_again(self.record, chosen, time.perf_counter))
+
     def save(self, out: str | Path, overwrite: bool = False) -> list[Path]:
         """Write the folder of results (docs/formats/outputs.md) and return the paths of the files written.
 
@@ -107,3 +128,13 @@ class Result:
             OutputError: the folder holds other files and `overwrite` is false, or it cannot be written.
         """
         return self.writer(self.record, Path(out), overwrite)
+
+
+def read_result(folder: str | Path) -> Result:
+    """Read the result of an earlier run from its folder; its maps and sites are computed again, which takes seconds.
+
+    Raises:
+        InputError: the folder holds no finished run that has judged a map, or `evidence.npz` is damaged.
+    """
+    kept = read_evidence(Path(folder))
+    return Result(kept).judge()

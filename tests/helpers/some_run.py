@@ -11,10 +11,13 @@ from ground import land_cover
 
 from alight.geometry import Grid, LocalFrame, Pose, so3_exp
 from alight.records import (
+    NOTHING_MISSING,
     ElevationMap,
     Flag,
     Hazard,
     HazardMap,
+    MapEvidence,
+    MapFrame,
     Motion,
     NextView,
     Route,
@@ -132,6 +135,15 @@ def motions() -> list[Motion]:
     return out
 
 
+def evidence() -> MapEvidence:
+    """What the run was judged on."""
+    e, nowhere = elevation(), np.zeros(GRID.shape, np.bool_)
+    frame, vehicle = MapFrame(0, np.zeros(3), np.eye(3)), np.array([1.0, 6.0, 32.0])
+    return MapEvidence(
+        e, GRID, e.rgb, e.sampling, terrain(), (), nowhere, nowhere, NOTHING_MISSING, None, vehicle, 30.1, frame
+    )
+
+
 def some_run(**changes: Any) -> RunResult:
     """The whole run; `changes` replace fields."""
     fields: dict[str, Any] = {
@@ -145,6 +157,7 @@ def some_run(**changes: Any) -> RunResult:
         "terrain": terrain(),
         "hazards": hazards(),
         "route": route(),
+        "evidence": evidence(),
         "motions": motions(),
         "height_above_ground": 30.1,
         "counts": {"frames read": 10, "frames dropped, file missing": 1},

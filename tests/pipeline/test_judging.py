@@ -14,12 +14,12 @@ from alight.geometry import Camera, Grid, Pose
 from alight.hazards import assess
 from alight.parallax.orthophoto import orthophoto
 from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict, find_land_cover, observer
-from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.remembered import NOWHERE
 from alight.pipeline.timing import Timings
 from alight.raster import block_mean, cells_as_blocks
 from alight.records import ElevationMap, MissingVeto, NextView, Sites, Terrain, View
+from alight.records.map_frame import MapFrame
 from alight.settings import Settings, TerrainSettings
 
 

@@ -16,12 +16,12 @@ from alight.geometry import Pose
 from alight.landing.reserve import Reserve
 from alight.outputs import rasters, vectors
 from alight.pipeline import Decision, Pipeline, PipelineOptions, Verdict
-from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping.recursive_map import RecursiveMapper
 from alight.pipeline.navigation import Navigation, NavigationLane, Trajectory
 from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.timing import Progress, Timings
 from alight.records import Datum, ElevationMap, Event, Frame, Motion, Rig, Sites
+from alight.records.map_frame import MapFrame
 from alight.settings import Settings
 
 OFFSET = np.array([1.25, -0.5, 0.75])  # metres; whole cells

@@ -18,7 +18,6 @@ from alight.parallax.sparse_points import height_range
 from alight.parallax.views import prepare_view
 from alight.pipeline.judging import JudgingLane
 from alight.pipeline.lanes import conclude
-from alight.pipeline.map_frame import MapFrame, in_world
 from alight.pipeline.mapping import FinishedMap, ground_map
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.recursive_map import RecursiveMap, RecursiveMapper
@@ -26,6 +25,7 @@ from alight.pipeline.navigation import Trajectory
 from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.timing import Timings
 from alight.records import Frame, Motion, Rig, View
+from alight.records.map_frame import MapFrame, in_world
 from alight.settings import Settings
 
 DOWN = np.diag([1.0, -1.0, -1.0])

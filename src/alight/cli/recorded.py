@@ -137,6 +137,37 @@ def evaluate(
 
 
 @dataclass(kw_only=True)
+class JudgeOptions(options.SettingsOptions):
+    """Options of `alight judge`."""
+
+    run: Annotated[Path, typer.Argument(metavar="OUT", help="Folder that a run left.")]
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FOLDER", help="Folder for the results; default: OUT-judged.")
+    ] = None
+    force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False
+
+
+@app.command()
+@options.command_of(JudgeOptions)
+def judge(o: JudgeOptions) -> None:
+    """Judge the ground of a run for another lander or other limits, without motion and mapping."""
+    chosen = o.read_settings().model_dump(mode="json", exclude_unset=True)
+    from alight.outputs.evidence import EVIDENCE
+    from alight.outputs.folder import prepare_folder
+    from alight.outputs.reading import read_evidence
+    from alight.result import Result
+
+    out = o.out or o.run.resolve().with_name(f"{o.run.resolve().name}-judged")
+    kept = Result(read_evidence(o.run))
+    prepare_folder(out, o.force, [o.run / EVIDENCE])
+    with progress_bar() as report:
+        report("judging", 0.0)
+        judged = kept.judge(settings=chosen)
+        report("judging", 1.0)
+    save_result(judged.record, out, o.force, same_as=o.run)
+
+
+@dataclass(kw_only=True)
 class HazardsOptions(options.ResultOptions):
     """Options of `alight hazards`."""
 

@@ -142,15 +142,15 @@ def print_result(result: RunResult, answer: bool = True) -> None:
         print_line(f"PRIOR DEM  {result.notes['prior_dem']}")
 
 
-def save_result(result: RunResult, out: Path, force: bool, answer: bool = True) -> None:
+def save_result(result: RunResult, out: Path, force: bool, answer: bool = True, same_as: Path | None = None) -> None:
     """Print the answer of a run (if `answer`), write the folder `out`, and print the path of the report in it.
 
-    The answer comes first, in case the folder cannot be written. `force`: whether `out` may hold other files.
+    The answer comes first, in case the folder cannot be written. `force`, `same_as`: see `write_run`.
     """
     from alight.outputs import write_run
 
     print_result(result, answer)
-    write_run(result, out, force)
+    write_run(result, out, force, same_as)
     if result.route is not None and result.home is None and (out / "route.plan").exists():
         print_stderr(
             "warning: route.plan counts its heights from the ground of site 1, its planned home (whose own height is "

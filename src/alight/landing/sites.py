@@ -16,6 +16,7 @@ from alight.records import (
     Hazard,
     HazardMap,
     NextView,
+    Observer,
     Site,
     Sites,
     Terrain,
@@ -43,16 +44,6 @@ REASON_WORDS = {
 def separation(settings: SitesSettings, lander: Lander) -> float:
     """Return the least distance between two sites or candidates, metres."""
     return max(settings.separation or 0.0, RADII_APART * lander.radius)
-
-
-@dataclass(frozen=True, eq=False)
-class Observer:
-    """The vehicle with its cameras that look down."""
-
-    position: F64  # (3,) metres, in the frame of the map
-    height_above_ground: float  # metres
-    focal: float  # focal length of the newest view that looks down, pixels
-    stereo: bool  # whether two cameras look down at the same time
 
 
 def next_view(place: F64, settles_at: float, observer: Observer, settings: SitesSettings) -> NextView | None:

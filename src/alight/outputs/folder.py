@@ -17,6 +17,7 @@ from alight import __version__, report
 from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_text
 from alight.outputs import plan, rasters, vectors
 from alight.outputs.atomic_write import ANOTHER, output_error, partial_path, write_whole
+from alight.outputs.evidence import EVIDENCE, encode_evidence
 from alight.outputs.folder_lock import LOCK, holds_folder, lock_folder, release_folder
 from alight.records import ElevationMap, OutputError, RunResult
 
@@ -26,6 +27,7 @@ RUN_JSON = "run.json"
 FILES = (
     *("dem.tif", "flags.tif", "ortho.tif", "terrain.tif", "safe.tif", "reasons.tif", "sites.geojson", "route.plan"),
     *("route.geojson", "wires.geojson", "trajectory.tum", "trajectory.csv", "report.html"),
+    EVIDENCE,
 )
 KNOWN = (RUN_JSON, *FILES, "hazards.tif", "heights.tif")  # the last two are written by `alight hazards`
 BY_OTHERS = (".DS_Store", "Thumbs.db", "desktop.ini", ".nfs*", "*.aux.xml")  # file managers, NFS, GDAL and QGIS
@@ -96,8 +98,10 @@ def contents(r: RunResult) -> Contents:
     motion: Contents = {
         name: partial(make, r.motions) if r.motions else "the motion was not estimated" for name, make in makers.items()
     }
+    judged = r.evidence is not None and r.hazards is not None
+    kept: Contents = {EVIDENCE: partial(encode_evidence, r) if judged else "the ground was not judged"}
     # the answer first: on a full disk, the small and most important files still fit
-    files = _sites(r) | _route(r) | _wires(r) | motion | _rasters(r)
+    files = _sites(r) | _route(r) | _wires(r) | motion | _rasters(r) | kept
     return files | report_file(r, files | dict(r.not_written)) | dict(r.not_written)
 
 
@@ -295,6 +299,21 @@ def write_folder(
     return written
 
 
-def write_run(result: RunResult, out: Path, overwrite: bool = False) -> list[Path]:
-    """Write the folder of one run and return the paths of the files written; see `write_folder`."""
-    return write_folder(contents(result), partial(run_json, result), out, overwrite)
+def unchanged(result: RunResult) -> tuple[str, ...]:
+    """Return the files that are the same for every judgement of a run on cells of the same size."""
+    evidence, hazards = result.evidence, result.hazards
+    if evidence is None or hazards is None or hazards.grid.cell != evidence.grid.cell:
+        return (EVIDENCE,)
+    return "dem.tif", "flags.tif", "ortho.tif", "terrain.tif", EVIDENCE
+
+
+def write_run(result: RunResult, out: Path, overwrite: bool = False, same_as: Path | None = None) -> list[Path]:
+    """Write the folder of one run and return the paths of the files written; see `write_folder`.
+
+    `same_as`: folder of the run that was judged again; the files that another judgement does not change are copied.
+    """
+    files = contents(result)
+    for path in () if same_as is None else (same_as / name for name in unchanged(result)):
+        if callable(files[path.name]) and path.is_file():
+            files[path.name] = path.read_bytes
+    return write_folder(files, partial(run_json, result), out, overwrite)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -14,9 +15,10 @@ from pydantic import BaseModel, Field, FiniteFloat
 from alight.arrays import F32, U8, U16
 from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_text, validated
 from alight.geometry import Grid, LocalFrame
+from alight.outputs.evidence import EVIDENCE, decode_evidence
 from alight.outputs.folder import RUN_JSON, is_run
 from alight.raster import unreadable
-from alight.records import InputError
+from alight.records import InputError, RunResult
 from alight.settings import Settings, settings_of_run
 
 AGAIN = "run again to write it anew"
@@ -170,10 +172,10 @@ def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[A
         raise InputError(f"{path}: not a readable raster; {mend}") from e
 
 
-def _maps(folder: Path) -> dict[str, Any]:
-    """Read the rasters of a run: the fields of `Run` that they fill, and the grid that they share."""
+def _maps(folder: Path, names: Collection[str]) -> dict[str, Any]:
+    """Read the named rasters of a run: the fields of `Run` that they fill, and the grid that they share."""
     found: dict[str, Any] = {}
-    for name, (kind, fields) in RASTERS.items():
+    for name, (kind, fields) in ((k, v) for k, v in RASTERS.items() if k in names):
         path = folder / f"{name}.tif"
         if path.exists():
             bands, grid = read_bands(path, len(fields), kind, AGAIN)
@@ -184,8 +186,8 @@ def _maps(folder: Path) -> dict[str, Any]:
     return found
 
 
-def read_run(folder: Path) -> Run:
-    """Read the rasters and run.json of one run.
+def read_run(folder: Path, rasters: Collection[str] = RASTERS.keys()) -> Run:
+    """Read the named rasters and run.json of one run.
 
     Raises:
         InputError: the folder holds no finished run, or one of its rasters cannot be read.
@@ -197,4 +199,21 @@ def read_run(folder: Path) -> Run:
         local = validated(_RunJson, info).origin
     except DocumentError as e:
         raise InputError(f"{RUN_JSON}: {e}; {AGAIN}") from e
-    return Run(folder, info, local, **_maps(folder))
+    return Run(folder, info, local, **_maps(folder, rasters))
+
+
+def read_evidence(folder: Path) -> RunResult:
+    """Read the result of a run without its answer (sites, rasters, route), to judge it again.
+
+    Of a folder that `alight judge` wrote, it is that of the run, with the settings of the judgement.
+
+    Raises:
+        InputError: the folder holds no finished run, or its evidence is missing, damaged, or of another version.
+    """
+    path, run = folder / EVIDENCE, read_run(folder, ())
+    if not path.is_file():
+        raise InputError(f"{path}: missing; name the folder of a run that has judged a map, or {AGAIN}")
+    try:
+        return replace(decode_evidence(path.read_bytes()), settings=run.settings)
+    except (OSError, ValueError) as e:
+        raise InputError(f"{path}: damaged, or of another version of Alight; {AGAIN}") from e

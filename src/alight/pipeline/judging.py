@@ -13,7 +13,6 @@ from alight.landing import sites
 from alight.landing.reserve import Reserve
 from alight.parallax.orthophoto import orthophoto
 from alight.parallax.wires.find import find_wires
-from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.remembered import NOWHERE, CoverMemory, Remembered, WireMemory, shown_at, traffic
 from alight.pipeline.timing import Timings
@@ -23,13 +22,17 @@ from alight.records import (
     ElevationMap,
     Flag,
     HazardMap,
+    MapEvidence,
+    MapFrame,
     MissingVeto,
     NextView,
+    Observer,
     Site,
     Sites,
     TerrainMap,
     p_safe_text,
 )
+from alight.records.map_frame import Tie
 from alight.settings import Lander, StageSettings, TerrainSettings
 
 WET = np.uint16(Flag.WATER)
@@ -62,6 +65,7 @@ class Verdict:
     sites: Sites
     frame: MapFrame  # map frame, with its position in the world
     missing: MissingVeto = NOTHING_MISSING
+    evidence: MapEvidence | None = None  # in the map frame; None: not kept
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -157,9 +161,21 @@ class JudgingLane:
 
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Return the verdict on a map: land cover, hazards, sites, and candidates with next views."""
+        return replace(self.judge_at_end(seen), evidence=None)
+
+    def judge_at_end(self, seen: MapSnapshot) -> Verdict:
+        """Return the verdict on the last map of a run, with its evidence."""
         s, frame = self._settings, seen.frame
         self._follow(frame)
-        t_ns = max((v.t_ns for v in seen.views), default=0)
+        evidence = self._evidence(seen)
+        found = judge_evidence(evidence, s, self._timings)
+        apart = sites.separation(s.sites, s.lander)
+        self.memory = self.memory.with_reserve(self.memory.kept.updated(found.sites, found.hazards, apart), frame)
+        return replace(found, evidence=evidence)
+
+    def _evidence(self, seen: MapSnapshot) -> MapEvidence:
+        """Gather the evidence of a map: its wires, its picture and its land cover."""
+        s, t_ns = self._settings, max((v.t_ns for v in seen.views), default=0)
         with self._timings.of("wires"):
             self._search_wires(seen)
         with self._timings.of("finer pixels"):
@@ -171,17 +187,12 @@ class JudgingLane:
                 land_cover = find_land_cover(elevation, s.terrain, self._appearance)
                 land_cover = self._with_earlier(land_cover, t_ns)
             _tidy(elevation)
-        with self._timings.of("hazards"):
-            passed, came = traffic(seen.passed, elevation.grid, land_cover), seen.came.on(elevation.grid)
-            found = hazards.assess(
-                elevation, land_cover, s.lander, s.hazards, seen.missing, passed, came, self.memory.wires.wires
-            )
-        _tidy(elevation)
-        with self._timings.of("sites"):
-            chosen = sites.choose_sites(found, land_cover, elevation, s.sites, s.lander, observer(seen))
-            apart = sites.separation(s.sites, s.lander)
-            self.memory = self.memory.with_reserve(self.memory.kept.updated(chosen, found, apart), frame)
-        return Verdict(without_water(seen.elevation, land_cover), land_cover, found, chosen, frame, seen.missing)
+        assert elevation.fine is not None
+        return MapEvidence(
+            seen.elevation, elevation.grid, elevation.fine, elevation.picture_sampling, land_cover,
+            self.memory.wires.wires, traffic(seen.passed, elevation.grid, land_cover), seen.came.on(elevation.grid),
+            seen.missing, observer(seen), seen.position, seen.height_above_ground, seen.frame,
+        )  # fmt: skip
 
     def _search_wires(self, seen: MapSnapshot) -> None:
         """Look for wires if enough views are new, and remember them."""
@@ -213,16 +224,22 @@ class JudgingLane:
         out: dict[str, object] = {
             "terrain": terrain.describe(found.elevation, self._settings.terrain, self._appearance)
         }
-        resolved = found.hazards.resolved[np.isfinite(found.hazards.resolved)]
-        if resolved.size:
-            out["quality"] = (
-                f"{self._settings.parallax.quality}: heights on cells of {found.hazards.grid.cell:g} m; on half of the "
-                f"ground an obstacle of {float(np.median(resolved)):.2f} m would be found with a chance of 95 %"
-            )
+        out |= quality_note(found.hazards, self._settings)
         out |= reserve_notes(self.memory.reserve.sites[len(found.sites.sites) :])
         if self.memory.lost:
             out["sites given up"] = list(self.memory.lost)
         return out
+
+
+def quality_note(found: HazardMap, settings: StageSettings) -> dict[str, object]:
+    """Return the note of a run on the obstacles that its judgement can find; empty if no cell could be judged."""
+    resolved = found.resolved[np.isfinite(found.resolved)]
+    if not resolved.size:
+        return {}
+    return {
+        "quality": f"{settings.parallax.quality}: heights on cells of {found.grid.cell:g} m; on half of the "
+        f"ground an obstacle of {float(np.median(resolved)):.2f} m would be found with a chance of 95 %"
+    }
 
 
 def reserve_notes(sites: Sequence[Site]) -> dict[str, object]:
@@ -234,6 +251,41 @@ def reserve_notes(sites: Sequence[Site]) -> dict[str, object]:
 def _tidy(elevation: ElevationMap) -> None:
     if elevation.height.size > LARGE_MAP:
         memory.give_back()
+
+
+def judge_evidence(evidence: MapEvidence, settings: StageSettings, timings: Timings) -> Verdict:
+    """Return the verdict on the evidence of a map, for the lander and the limits of the settings.
+
+    If the lander is judged on cells of another size than the evidence has, the evidence is resampled.
+    """
+    lander, of = settings.lander, evidence.grid
+    with timings.of("hazards"):
+        elevation = on_judging_cells(evidence, lander)
+        grid = elevation.grid
+        land_cover = evidence.land_cover and evidence.land_cover.on(grid)
+        passed, came = (v if grid == of else of.nearest_on(grid, v) for v in (evidence.passed, evidence.came))
+        found = hazards.assess(
+            elevation, land_cover, lander, settings.hazards, evidence.missing, passed, came, evidence.wires
+        )
+    _tidy(elevation)
+    with timings.of("sites"):
+        chosen = sites.choose_sites(found, land_cover, elevation, settings.sites, lander, evidence.observer)
+    mapped = without_water(evidence.elevation, land_cover)
+    return Verdict(mapped, land_cover, found, chosen, evidence.frame, evidence.missing)
+
+
+def on_judging_cells(evidence: MapEvidence, lander: Lander) -> ElevationMap:
+    """Return the map on the cells on which a lander is judged, with the picture of the evidence.
+
+    On finer cells than those of the evidence, its picture is used if it has a pixel or more for each of them.
+    """
+    judged, cell = evidence.grid, lander.judging_cell
+    start = on_cells_up_to(evidence.elevation, min(cell, judged.cell))
+    times, (rows, cols) = round(judged.cell / start.grid.cell), start.grid.shape
+    if pixels := evidence.picture.shape[0] // judged.rows // times:
+        picture = evidence.picture[: pixels * rows, : pixels * cols]
+        start = replace(start, fine=picture, fine_sampling=upsample(evidence.picture_sampling, times)[:rows, :cols])
+    return on_cells_up_to(start, cell)
 
 
 def as_judged(seen: MapSnapshot, lander: Lander) -> ElevationMap:
@@ -257,14 +309,14 @@ def find_land_cover(
     return terrain.classify(coarse, settings, appearance, tables).on(elevation.grid)
 
 
-def observer(seen: MapSnapshot) -> sites.Observer | None:
+def observer(seen: MapSnapshot) -> Observer | None:
     """Return the vehicle with the cameras that look down at the newest instant; None if no camera does."""
     t_ns = max((v.t_ns for v in seen.views), default=0)
     newest = [v for v in seen.views if v.t_ns == t_ns]
     if not newest:
         return None
     stereo = len({v.cam for v in newest}) > 1
-    return sites.Observer(seen.position, seen.height_above_ground, newest[-1].camera.fu, stereo)
+    return Observer(seen.position, seen.height_above_ground, newest[-1].camera.fu, stereo)
 
 
 def without_water(elevation: ElevationMap, land_cover: TerrainMap | None) -> ElevationMap:

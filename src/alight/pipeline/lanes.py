@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Literal, TypeVar
 
 from alight import terrain
 from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
 from alight.landing.route import plan_route
 from alight.pipeline.judging import JudgingLane, Verdict, reserve_notes
-from alight.pipeline.mapping import MappingLane, MapSnapshot
+from alight.pipeline.mapping import MappingLane
 from alight.pipeline.navigation import NavigationLane, TimedPoses
 from alight.pipeline.policy import FlightPolicy
 from alight.pipeline.timing import Clock, StageProgress, Timings, unreported
-from alight.records import Decision, PriorHeights, Rig, Route, SettingsError, Sites, Wire
+from alight.records import Decision, MapEvidence, PriorHeights, Rig, SettingsError, Sites
 from alight.settings import ImuNoise, RouteSettings, StageSettings
 
 
@@ -97,21 +97,30 @@ def conclude(
     seen = found.snapshot
     if trajectory.distrust:
         seen = replace(seen, elevation=seen.elevation.refused())
-    verdict = judging.judge(seen).in_world()
-    sites = replace(verdict.sites, reason=trajectory.distrust or verdict.sites.reason)
-    route = _route(sites, seen, settings.route, verdict.hazards.wires)
-    progress("judging", 1.0)
-    return replace(
-        moved, sites=sites, elevation=verdict.elevation, terrain=verdict.land_cover, hazards=verdict.hazards,
-        route=route, height_above_ground=seen.height_above_ground,
-        notes={**trajectory.notes, **found.notes, **judging.notes(verdict)},
+    verdict = judging.judge_at_end(seen)
+    assert verdict.evidence is not None
+    evidence = replace(verdict.evidence, distrust=trajectory.distrust)
+    decision = replace(
+        moved, evidence=evidence, height_above_ground=evidence.height_above_ground,
+        notes={**trajectory.notes, **found.notes, **judging.notes(replace(verdict, evidence=None))},
         warnings=[*warnings, *judging.memory.warnings, *verdict.warnings],
     )  # fmt: skip
+    decision = with_verdict(decision, verdict, evidence, settings.route)
+    progress("judging", 1.0)
+    return decision
 
 
-def _route(sites: Sites, seen: MapSnapshot, settings: RouteSettings, wires: tuple[Wire, ...]) -> Route | None:
-    if not sites.sites:
-        return None
-    vehicle, elevation = seen.frame.point(seen.position), seen.frame.elevation(seen.elevation)
-    way = plan_route(sites.sites[0], elevation, vehicle, settings, wires)
-    return replace(way, frame_id=seen.frame.frame_id)
+Decided = TypeVar("Decided", bound=Decision)
+
+
+def with_verdict(decision: Decided, verdict: Verdict, evidence: MapEvidence, settings: RouteSettings) -> Decided:
+    """Return the decision with a verdict and the route to its best site, in the world frame."""
+    world, frame = verdict.in_world(), evidence.frame
+    sites, route = replace(world.sites, reason=evidence.distrust or world.sites.reason), None
+    if sites.sites:
+        vehicle, elevation = frame.point(evidence.vehicle), frame.elevation(evidence.elevation)
+        route = plan_route(sites.sites[0], elevation, vehicle, settings, world.hazards.wires)
+        route = replace(route, frame_id=frame.frame_id)
+    return replace(
+        decision, sites=sites, elevation=world.elevation, terrain=world.land_cover, hazards=world.hazards, route=route
+    )

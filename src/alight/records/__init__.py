@@ -17,12 +17,14 @@ from alight.records.events import (
     Schedule,
     Tracks,
 )
+from alight.records.evidence import MapEvidence
 from alight.records.landing import (
     Doubt,
     Hazard,
     HazardMap,
     Kind,
     NextView,
+    Observer,
     Route,
     Site,
     Sites,
@@ -31,6 +33,7 @@ from alight.records.landing import (
     keeps_margin,
     p_safe_text,
 )
+from alight.records.map_frame import MapFrame
 from alight.records.motion import KeyframePosterior, Motion, MotionState, RefinedMotions, View
 from alight.records.photos import PHOTO_COLUMNS, PhotoFacts, PhotoOutcome, PhotoRow
 from alight.records.result import Decision, RunResult

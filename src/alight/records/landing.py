@@ -92,6 +92,16 @@ class NextView:
         return np.array([self.east, self.north, self.up])
 
 
+@dataclass(frozen=True, eq=False)
+class Observer:
+    """The vehicle with its cameras that look down."""
+
+    position: F64  # (3,) metres, in the frame of the map
+    height_above_ground: float  # metres
+    focal: float  # focal length of the newest view that looks down, pixels
+    stereo: bool  # whether two cameras look down at the same time
+
+
 @dataclass(frozen=True)
 class Site:
     """A site, or a candidate that may become one; the properties are those of sites.geojson."""

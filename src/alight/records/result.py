@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from alight.geometry import Camera, LocalFrame
+from alight.records.evidence import MapEvidence
 from alight.records.landing import HazardMap, Route, Sites
 from alight.records.motion import Motion
 from alight.records.photos import PhotoOutcome, PhotoRow
@@ -31,6 +32,7 @@ class Decision:
     height_above_ground: float | None = None  # metres, median over the exposures
     notes: Mapping[str, object] = field(default_factory=dict)  # facts by name: "focal": "held", "points": 19472
     warnings: Sequence[str] = ()
+    evidence: MapEvidence | None = None  # of the judgement, to judge another lander; None: nothing was judged
     outcomes: Sequence[PhotoOutcome] = ()  # agreement of the pictures with each photo's tags
 
 

@@ -49,7 +49,7 @@ def settings_of_run(stored: Mapping[str, Any]) -> Settings:
     Raises:
         ValueError: the value of a known key is not valid; the message names the key.
     """
-    return _validated(_tree(item for item in _leaves(stored) if item[0] in all_keys()))
+    return _validated(_tree(item for item in leaves(stored) if item[0] in all_keys()))
 
 
 def _to_fly(tree: Tree) -> Settings:
@@ -101,10 +101,11 @@ def _merge(tree: Tree, name: str, value: Any) -> None:
         tree[name] = value
 
 
-def _leaves(tree: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+def leaves(tree: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the values of a nested mapping by their dotted keys; `before`: prefix of the keys."""
     for name, value in tree.items():
         if isinstance(value, Mapping):
-            yield from _leaves(value, f"{before}{name}.")
+            yield from leaves(value, f"{before}{name}.")
         else:
             yield f"{before}{name}", value
 

@@ -12,12 +12,12 @@ from typing import Protocol
 import numpy as np
 
 from alight.arrays import F64
-from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping.keyframes import looking_down
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.remembered import NOWHERE, Remembered
 from alight.pipeline.timing import Progress
 from alight.records import NOTHING_MISSING, ElevationMap, MissingVeto, View
+from alight.records.map_frame import MapFrame
 
 NO_HEIGHT = "no height could be measured: no place was seen by two views"
 

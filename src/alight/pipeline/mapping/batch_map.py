@@ -20,7 +20,6 @@ from alight.parallax.datum import Matched, with_datum
 from alight.parallax.plane_sweep import ENOUGH
 from alight.parallax.sparse_points import NO_POINTS, height_range
 from alight.parallax.views import choose_views, ground_sampling, may_see
-from alight.pipeline.map_frame import in_world
 from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, map_at_end
 from alight.pipeline.mapping.ground_map import GroundMap, refuse_too_large
 from alight.pipeline.mapping.keyframes import FrameStore, bounds, ground_in, is_keyframe, looking_down, views_of
@@ -36,6 +35,7 @@ from alight.records import (
     Rig,
     View,
 )
+from alight.records.map_frame import in_world
 from alight.settings import ParallaxSettings, StageSettings
 from alight.spread import nmad
 

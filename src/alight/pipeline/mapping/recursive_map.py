@@ -14,7 +14,6 @@ from alight.elevation import TiledElevation, TileStore, doublings_up_to
 from alight.elevation.tiles import bytes_a_cell
 from alight.geometry import Box, Grid
 from alight.parallax.recursive import RecursiveParallax
-from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, map_at_end
 from alight.pipeline.mapping.ground_map import GroundMap, refuse_too_large
 from alight.pipeline.mapping.keyframes import FrameStore, Keyframe, bounds, is_keyframe, looking_down, views_of
@@ -22,6 +21,7 @@ from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.remembered import NOWHERE, Remembered, what_moves, who_came
 from alight.pipeline.timing import Progress, Timings
 from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, Motion, MotionState, Rig, View, is_trusted
+from alight.records.map_frame import MapFrame, Tie
 from alight.settings import StageSettings
 
 log = logging.getLogger(__name__)

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from alight.arrays import F64
 from alight.geometry import Pose
-from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.timing import Progress
 from alight.records import Event, Frame, KeyframePosterior, Motion, MotionState, PhotoOutcome, Rig
+from alight.records.map_frame import MapFrame
 
 TimedPoses = tuple[NDArray[np.int64], list[Pose]]  # world_from_body
 

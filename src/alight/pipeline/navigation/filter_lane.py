@@ -11,10 +11,10 @@ from alight.motion.ekf.filter import LEAST_EXPOSURES
 from alight.motion.ekf.keyframe_posterior import rigid_posterior
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.imu_buffer import ImuBuffer
-from alight.pipeline.map_frame import in_world
 from alight.pipeline.navigation import Navigation, Trajectory, sparse
 from alight.pipeline.timing import Progress
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
+from alight.records.map_frame import in_world
 from alight.settings import StageSettings
 from alight.tracks import Tracker
 

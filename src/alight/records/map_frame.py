@@ -15,7 +15,9 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Grid
-from alight.records import Datum, ElevationMap, Motion, PlaceSigma, Sites
+from alight.records.landing import Sites
+from alight.records.motion import Motion
+from alight.records.surface import Datum, ElevationMap, PlaceSigma
 
 
 class Tie(NamedTuple):
