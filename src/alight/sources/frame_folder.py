@@ -82,4 +82,3 @@ class FrameFolder(FlightLog):
                 if isinstance(load_yaml(path).get("cam0"), dict):
                     return path
         return None
-

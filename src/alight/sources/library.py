@@ -50,17 +50,6 @@ def _index(folder: Path) -> dict[str, dict[str, str]]:
         raise InputError(f"{path}: not a table with the columns file, site, gsd_m; mend it or take it away") from e
 
 
-def _sampling(row: dict[str, str], usual: float, path: Path) -> float:
-    text = row.get("gsd_m") or ""
-    try:
-        value = float(text) if text else usual
-    except ValueError:
-        value = 0.0
-    if not 0 < value < 100:
-        raise InputError(f"{path}: gsd_m in index.csv is {text!r}; give metres a pixel such as 0.05")
-    return value
-
-
 def _tiles(rgb: U8, sampling: float) -> Iterator[U8]:
     side = max(8, round(TILE / sampling))
     if min(rgb.shape[:2]) < 2 * side:
@@ -125,7 +114,13 @@ def read_library(folder: Path, usual: float = SAMPLING) -> list[LabelledPatch]:
             row = index.get(name, {})
             between = path.parent.relative_to(sub).parts
             site = row.get("site") or (between[0] if between else "all")
-            sampling = _sampling(row, usual, path)
+            try:
+                sampling = float(row.get("gsd_m") or usual)
+            except ValueError:
+                sampling = 0.0
+            if not 0 < sampling < 100:
+                why = f"gsd_m in index.csv is {row.get('gsd_m', '')!r}; give metres a pixel such as 0.05"
+                raise InputError(f"{path}: {why}")
             patches += [LabelledPatch(t, sampling, int(kind), site, name) for t in _tiles(read_picture(path), sampling)]
     if not patches:
         known = ", ".join(k.name.lower() for k in KINDS)

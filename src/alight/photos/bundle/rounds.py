@@ -103,9 +103,7 @@ def _misfit(state: BundleState, obs: BundleObservations, priors: Priors) -> floa
     return cost * len(obs.photo) / max(len(used.photo), 1)
 
 
-def do_rounds(
-    state: BundleState, obs: BundleObservations, priors: Priors, *rounds: tuple[float, float]
-) -> BundleState:
+def do_rounds(state: BundleState, obs: BundleObservations, priors: Priors, *rounds: tuple[float, float]) -> BundleState:
     """Return the state after rounds of `ROUNDS`: each triangulates, removes outliers beyond its cut, and adjusts."""
     for loss, cut in rounds:
         state, used = retriangulate(state, obs, priors, cut, loss)
