@@ -12,10 +12,10 @@ import numpy as np
 from alight.arrays import U8
 from alight.documents import DocumentError, read_text
 from alight.records import InputError, Terrain
+from alight.sources.image_formats import PLAIN
 from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.training.patches import LabelledPatch
 
-PICTURES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 SAMPLING = 0.05  # metres per pixel, if no other value is given
 TILE = 4.8  # metres; larger pictures are cut into tiles with this side
 KINDS = {
@@ -83,7 +83,7 @@ def _read(path: Path) -> U8:
 
 
 def _pictures(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in PICTURES and not p.is_dir())
+    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in PLAIN and not p.is_dir())
 
 
 def read_library(folder: Path, usual: float = SAMPLING) -> list[LabelledPatch]:

@@ -110,7 +110,7 @@ def _fill_missing(centres: F64, pairs: Sequence[Pair]) -> F64:
     for p in pairs:
         matches[p.i, p.j] = matches[p.j, p.i] = len(p.matches)
     while True:
-        known = np.isfinite(out).all(axis=1)
+        known = np.asarray(np.isfinite(out).all(axis=1))
         weight = matches @ known
         new = ~known & (weight > 0)
         if not new.any():
