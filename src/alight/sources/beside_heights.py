@@ -100,7 +100,9 @@ class _Placed:
         """
         raster, share = self.raster, 100.0 * float(known.mean()) if known.size else 0.0
         if not share:
-            raise InputError(f"{raster.label}: lies elsewhere than the heights, or is empty; give one of the same place")
+            raise InputError(
+                f"{raster.label}: lies elsewhere than the heights, or is empty; give one of the same place"
+            )
         return [] if known.all() else [f"{raster.path.name} covers {share:.3g} % of the heights: {lost}"]
 
 

@@ -7,7 +7,6 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,34 +43,6 @@ class SensorClock:
         grown = offset if self._offset is None else self._offset + DRIFT * max(own - self._last, 0.0)
         self._offset, self._last = min(offset, grown), own
         return round((own + self._offset) * 1e9)
-
-
-def _read(
-    capture: Any,
-    own_time: bool,
-    size: tuple[int, int],
-    put: Callable[[StampedImage | None], None],
-    over: threading.Event,
-) -> None:
-    """Pass the images of one camera to `put`, with stamps, until it ends or `over` is set; then pass None.
-
-    `capture`: opened by OpenCV. `own_time`: whether to pace and stamp images by the capture's own time, as for a film.
-    Images that do not have `size` (width, height) are dropped.
-    """
-    clock, begin = SensorClock(), time.monotonic()
-    while not over.is_set():
-        good, image = capture.read()
-        if not good:
-            break
-        arrival, own = time.monotonic(), capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
-        if image.ndim == 3:
-            image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-        if own_time:
-            time.sleep(max(0.0, begin + own - arrival))
-        if (image.shape[1], image.shape[0]) == size:
-            put((round(own * 1e9) if own_time else clock.stamp(own, arrival), image))
-    capture.release()
-    put(None)
 
 
 def open_capture(name: str, size: tuple[int, int]) -> Any:
@@ -136,6 +107,7 @@ class Cameras(CalibratedFolder):
         """
         arrived: queue.Queue[tuple[int, StampedImage | None]] = queue.Queue(64)
         over, open_cameras = threading.Event(), len(self._names)
+        sizes = [(c.camera.width, c.camera.height) for c in self.rig.cameras]
 
         def put(k: int, image: StampedImage | None) -> None:
             try:
@@ -143,11 +115,26 @@ class Cameras(CalibratedFolder):
             except queue.Full:
                 self.findings.lose("images", str(image[0] if image else 0), "they came faster than they were used")
 
-        sizes = [(c.camera.width, c.camera.height) for c in self.rig.cameras]
+        def read(k: int, capture: Any) -> None:
+            clock, begin = SensorClock(), time.monotonic()
+            own_time = self._names[k].startswith("video:")  # a film is paced and stamped by its own time
+            while not over.is_set():
+                good, image = capture.read()
+                if not good:
+                    break
+                arrival, own = time.monotonic(), capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
+                if image.ndim == 3:
+                    image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+                if own_time:
+                    time.sleep(max(0.0, begin + own - arrival))
+                if (image.shape[1], image.shape[0]) == sizes[k]:
+                    put(k, (round(own * 1e9) if own_time else clock.stamp(own, arrival), image))
+            capture.release()
+            put(k, None)
+
         captures = [open_capture(name, size) for name, size in zip(self._names, sizes, strict=True)]
-        for k, (capture, size) in enumerate(zip(captures, sizes, strict=True)):
-            arguments = capture, self._names[k].startswith("video:"), size, partial(put, k), over
-            threading.Thread(target=_read, args=arguments, daemon=True).start()
+        for number in enumerate(captures):
+            threading.Thread(target=read, args=number, daemon=True).start()
         waiting = WaitingExposures[U8](len(sizes))
         try:
             while not stopped():

@@ -12,8 +12,9 @@ from alight.settings import Settings
 from alight.sources.calibration import load_yaml, read_camchain, rig_camera
 from alight.sources.flight_log import FlightLog
 from alight.sources.frame_times import frame_times
+from alight.sources.image_formats import PLAIN
 
-FRAMES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+FRAMES = (*PLAIN, ".bmp")
 
 
 def frames_in(root: Path) -> list[Path]:
@@ -82,4 +83,3 @@ class FrameFolder(FlightLog):
                 if isinstance(load_yaml(path).get("cam0"), dict):
                     return path
         return None
-

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import datetime
 from decimal import Decimal
 from pathlib import Path
@@ -22,7 +23,7 @@ _NUMBER = re.compile(r"\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 _CALENDAR = re.compile(  # such as 20240102100059, 240102100059, 2024-01-02_10-00-59.250
     r"(?<!\d)((?:(?:19|20)\d\d)([-_]?)\d\d\2\d\d[-_T ]?\d\d([-_.]?)\d\d\3\d\d)(?:[-_.]?((?:\d{3}){1,3}))?(?!\d)"
 )
-_DATE = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d)(\.\d+)?")
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d)(?:\.(\d+))?")
 
 
 class FrameTimes(NamedTuple):
@@ -64,13 +65,16 @@ def frame_times(folder: Path, names: Sequence[str], rate: float | None) -> Frame
 
 def _date_in(stem: str) -> str:
     """Return the date and time in a file name (without suffix) as text, seconds since 1970; empty if there is none."""
-    if not (found := _CALENDAR.search(re.sub(r"(?<!\d)(\d{12})(?!\d)", r"20\1", stem))):
-        return ""
-    try:
-        whole = datetime.strptime(re.sub(r"\D", "", found[1]) + "+0000", "%Y%m%d%H%M%S%z")
-    except ValueError:  # such as a month of 13: another number
-        return ""
-    return f"{int(whole.timestamp())}.{found[4] or 0}"
+    found = _CALENDAR.search(re.sub(r"(?<!\d)(\d{12})(?!\d)", r"20\1", stem))
+    return _epoch(found[1], found[4]) if found else ""
+
+
+def _epoch(date: str, fraction: str | None) -> str:
+    """Return a date and time as text, seconds since 1970; empty if there is no such date: another number."""
+    with suppress(ValueError):  # such as a month of 13
+        whole = datetime.strptime(re.sub(r"\D", "", date) + "+0000", "%Y%m%d%H%M%S%z")
+        return f"{int(whole.timestamp())}.{fraction or 0}"
+    return ""
 
 
 def _natural(name: str) -> list[str | Decimal]:
@@ -88,7 +92,7 @@ def _table(path: Path, names: Sequence[str]) -> FrameTimes | None:
     by_name = {key: name for name in names for key in (Path(name).stem, name)}
     named, bare = list[tuple[str, str]](), list[str]()
     for line in lines:
-        fields = [Path(f).name for f in re.split(r"[,;\s]+", _DATE.sub(_epoch, line.strip()))]
+        fields = [Path(f).name for f in re.split(r"[,;\s]+", _DATE.sub(lambda m: _epoch(m[1], m[2]), line.strip()))]
         label = next((f for f in fields if f in by_name), None)
         numbers = [f for f in fields if _NUMBER.fullmatch(f)]
         time = max((f for f in numbers if f != label), key=len, default=numbers[0] if numbers else "")
@@ -98,11 +102,6 @@ def _table(path: Path, names: Sequence[str]) -> FrameTimes | None:
             bare.append(time)
     rows = named or (list(zip(bare, names, strict=True)) if len(bare) == len(names) else [])
     return _timed(rows, path.name, str(path), lines[0].lower()) if rows else None
-
-
-def _epoch(found: re.Match[str]) -> str:
-    whole = datetime.fromisoformat(f"{found[1]}T{found[2]}+00:00")
-    return f"{int(whole.timestamp())}{found[3] or ''}"
 
 
 def _timed(stamps: Sequence[tuple[str, str]], source: str, where: str, head: str = "") -> FrameTimes:

@@ -10,7 +10,6 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from alight.arrays import U8
 from alight.records import Event, Frame, InputError
 from alight.settings import Settings
 from alight.sources.calibrated_folder import CalibratedFolder
@@ -38,10 +37,6 @@ class GrowingTable:
 
     def __init__(self, path: Path) -> None:
         self._path, self._at, self._line, self._rest = path, 0, 0, b""
-
-    def exists(self) -> bool:
-        """Whether the file exists."""
-        return self._path.is_file()
 
     def new_lines(self) -> list[tuple[int, str]]:
         """Return the (line number, text) pairs added since the last call."""
@@ -136,7 +131,7 @@ class GrowingLog(CalibratedFolder):
 
     def _new_rows(self) -> list[Event]:
         out: list[Event] = []
-        if not self.georeferenced and self._tables["nav0"].exists():
+        if not self.georeferenced and (self._root / "nav0" / "data.csv").is_file():
             self.findings.warn(
                 "nav0 came after the start and is not used: put nav0/sensor.yaml there before the start, and start "
                 "again with it"
@@ -162,21 +157,13 @@ class GrowingLog(CalibratedFolder):
                 if names_file(row, group, self.findings):
                     self._waiting.add(k, row.t_ns - self._ahead_ns[k], row.fields[0], now)
         for t_ns, names, waited in self._waiting.ready(now):
-            if (images := self._images(names, waited > WRITTEN)) is None:
+            try:
+                images = tuple(self._image(k, n, unfinished=waited <= WRITTEN) for k, n in enumerate(names))
+            except ValueError:  # an image may be incomplete
                 return
             if any(i is not None for i in images):
                 self.length += 1
                 yield Frame(t_ns, images, next(n for n in names if n))
-
-    def _images(self, names: list[str | None], late: bool) -> tuple[U8 | None, ...] | None:
-        """Return the images of an exposure by file names; None while an image may be incomplete.
-
-        With `late`, an image that cannot be read is recorded as lost, and no longer waited for.
-        """
-        try:
-            return tuple(self._image(k, name, unfinished=not late) for k, name in enumerate(names))
-        except ValueError:
-            return None
 
 
 def wait_for_calibration(root: Path, seconds: float) -> None:

@@ -14,6 +14,7 @@ from PIL.TiffImagePlugin import BITSPERSAMPLE
 from alight.arrays import F64, U8
 from alight.records import InputError, MissingExtraError
 
+PLAIN = (".jpg", ".jpeg", ".png", ".tif", ".tiff")  # suffixes that need no extra
 EXTRAS = {  # suffix: the optional package that reads such files, and Alight's extra
     ".heic": ("pillow_heif", "heic"), ".heif": ("pillow_heif", "heic"), ".hif": ("pillow_heif", "heic"),
     ".dng": ("rawpy", "raw"),

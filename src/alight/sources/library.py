@@ -12,10 +12,10 @@ import numpy as np
 from alight.arrays import U8
 from alight.documents import DocumentError, read_text
 from alight.records import InputError, Terrain
+from alight.sources.image_formats import PLAIN
 from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.training.patches import LabelledPatch
 
-PICTURES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 SAMPLING = 0.05  # metres per pixel, if no other value is given
 TILE = 4.8  # metres; larger pictures are cut into tiles with this side
 KINDS = {
@@ -48,17 +48,6 @@ def _index(folder: Path) -> dict[str, dict[str, str]]:
         return {row["file"]: row for row in csv.DictReader(io.StringIO(read_text(path, 100_000_000), newline=""))}
     except (OSError, DocumentError, csv.Error, KeyError) as e:
         raise InputError(f"{path}: not a table with the columns file, site, gsd_m; mend it or take it away") from e
-
-
-def _sampling(row: dict[str, str], usual: float, path: Path) -> float:
-    text = row.get("gsd_m") or ""
-    try:
-        value = float(text) if text else usual
-    except ValueError:
-        value = 0.0
-    if not 0 < value < 100:
-        raise InputError(f"{path}: gsd_m in index.csv is {text!r}; give metres a pixel such as 0.05")
-    return value
 
 
 def _tiles(rgb: U8, sampling: float) -> Iterator[U8]:
@@ -94,7 +83,7 @@ def _read(path: Path) -> U8:
 
 
 def _pictures(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in PICTURES and not p.is_dir())
+    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in PLAIN and not p.is_dir())
 
 
 def read_library(folder: Path, usual: float = SAMPLING) -> list[LabelledPatch]:
@@ -125,7 +114,13 @@ def read_library(folder: Path, usual: float = SAMPLING) -> list[LabelledPatch]:
             row = index.get(name, {})
             between = path.parent.relative_to(sub).parts
             site = row.get("site") or (between[0] if between else "all")
-            sampling = _sampling(row, usual, path)
+            try:
+                sampling = float(row.get("gsd_m") or usual)
+            except ValueError:
+                sampling = 0.0
+            if not 0 < sampling < 100:
+                why = f"gsd_m in index.csv is {row.get('gsd_m', '')!r}; give metres a pixel such as 0.05"
+                raise InputError(f"{path}: {why}")
             patches += [LabelledPatch(t, sampling, int(kind), site, name) for t in _tiles(read_picture(path), sampling)]
     if not patches:
         known = ", ".join(k.name.lower() for k in KINDS)

@@ -77,19 +77,6 @@ def _read_head(text: str, path: Path) -> FlightHead:
     return head
 
 
-def _schedule(entries: dict[str, list[Any]], kind: str, entry: Any) -> None:
-    """Add an `entry` of the schedule (JSON) to the list `kind` in `entries`, and its details to their own lists.
-
-    A damaged entry raises an error and changes no list.
-    """
-    t_ns, value = int(entry["t_ns"]), int(entry["value"])
-    place = entry["about"]
-    about = None if place is None else (float(place[0]), float(place[1]))
-    entries[kind].append(t_ns)
-    entries["effort"] += [value] * (kind == "mapped")
-    entries["about"] += [about] * (kind == "judged")
-
-
 class Recording(Source):
     """One recorded flight.
 
@@ -149,7 +136,11 @@ class Recording(Source):
                     if topic == NOTES:
                         notes.append(f"{entry['lane']}: {entry['note']}")
                     elif (kind := str(entry["kind"])) in entries:
-                        _schedule(entries, kind, entry)
+                        t_ns, value, place = int(entry["t_ns"]), int(entry["value"]), entry["about"]
+                        about = None if place is None else (float(place[0]), float(place[1]))
+                        entries[kind].append(t_ns)
+                        entries["effort"] += [value] * (kind == "mapped")
+                        entries["about"] += [about] * (kind == "judged")
                 except (ValueError, KeyError, TypeError, OverflowError, IndexError) as e:
                     damaged.append((topic, self._found[topic], f"damaged ({e})"))
         for message in damaged:

@@ -41,13 +41,6 @@ class PhotoLenses:
         """Indices of the readouts among all lens parameters."""
         return [part.stop - 1 for part in self.parts]
 
-    def with_maker_readouts(self, lens: F64) -> F64:
-        """Return the lens offsets (k,) with the maker's readout for each camera whose maker gives it."""
-        lens = lens.copy()
-        for number, readout in zip(self.readout_numbers, self.by_maker, strict=True):
-            lens[number] = lens[number] if readout is None else readout
-        return lens
-
     def readout(self, photo: I64) -> F64:
         """Return the readout times (N,) in s, from first to last row, of the photos with indices `photo` (N,)."""
         return np.asarray(self.table()[0][self.of[photo], -1])

@@ -99,7 +99,7 @@ def match_descriptors(a: F32, b: F32) -> I64:
     first, mutual = score[rows, best], score.argmax(axis=0)[best] == rows
     score[rows, best] = -2.0
     clear = 1.0 - first < _RATIO**2 * (1.0 - score.max(axis=1))
-    return np.stack([rows, best], axis=1)[mutual & clear]
+    return np.asarray(np.stack([rows, best], axis=1)[mutual & clear])
 
 
 def verify(

@@ -106,20 +106,16 @@ def _fill_missing(centres: F64, pairs: Sequence[Pair]) -> F64:
 
     A missing position becomes the mean position of matched photos, weighted by matches; without any, it becomes 0.
     """
-    out = centres.copy()
-    for _ in range(len(centres)):
-        missing = np.flatnonzero(~np.isfinite(out).all(axis=1))
-        matched: dict[int, list[tuple[int, int]]] = {int(i): [] for i in missing}
-        for p in pairs:
-            for a, b in ((p.i, p.j), (p.j, p.i)):
-                if a in matched and np.isfinite(out[b]).all():
-                    matched[a].append((b, len(p.matches)))
-        located = {a: s for a, s in matched.items() if s}
-        for a, s in located.items():
-            out[a] = np.average(out[[b for b, _ in s]], axis=0, weights=[m for _, m in s])
-        if not located:
-            break
-    return np.nan_to_num(out)
+    matches, out = np.zeros((len(centres), len(centres))), centres.copy()
+    for p in pairs:
+        matches[p.i, p.j] = matches[p.j, p.i] = len(p.matches)
+    while True:
+        known = np.asarray(np.isfinite(out).all(axis=1))
+        weight = matches @ known
+        new = ~known & (weight > 0)
+        if not new.any():
+            return np.nan_to_num(out)
+        out[new] = (matches @ np.where(known[:, None], out, 0.0))[new] / weight[new, None]
 
 
 def components(count: int, pairs: Sequence[Pair]) -> list[I64]:

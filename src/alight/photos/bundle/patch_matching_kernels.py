@@ -9,6 +9,7 @@ import numpy as np
 
 from alight.arrays import F32, F64
 from alight.compiled import kernel, pixelwise
+from alight.motion.point_kernels import invert
 
 HALF = 7  # pixels from the middle of a patch to the sides of the compared square
 _LEAST_VARIANCE = 1.0  # squared grey levels, least variance of a patch
@@ -48,22 +49,6 @@ def sample_patches(picture: F32, at: F64, out: F32) -> None:
         for r in range(out.shape[1]):
             for c in range(out.shape[2]):
                 out[k, r, c] = _sample(picture, at[k, 0] + c - HALF - 1, at[k, 1] + r - HALF - 1, wx, wy)
-
-
-@pixelwise
-def _inverse(N: F64, out: F64) -> bool:
-    """Write the inverse of the symmetric matrix N (3, 3); return False if N is nearly singular."""
-    a, b, c, d, e, f = N[0, 0], N[0, 1], N[0, 2], N[1, 1], N[1, 2], N[2, 2]
-    out[0, 0], out[0, 1], out[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
-    out[1, 1], out[1, 2], out[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
-    det = a * out[0, 0] + b * out[0, 1] + c * out[0, 2]
-    if not det > 1e-4 * a * d * f:
-        return False
-    for i in range(3):
-        for j in range(i, 3):
-            out[i, j] /= det
-            out[j, i] = out[i, j]
-    return True
 
 
 @pixelwise
@@ -168,12 +153,14 @@ def match_patches(patches: F32, picture: F32, at: F64, warp: F64, moved: F64, li
         for c in range(side):
             weight[r * side + c] = math.exp(-0.5 * ((r - HALF) ** 2 + (c - HALF) ** 2) / 4.2**2)
     whole = weight.sum()
-    terms, N, C = np.empty((3, side * side)), np.empty((3, 3)), np.empty((3, 3))
+    terms, N, C, root = np.empty((3, side * side)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     right, h, wx, wy = np.empty(3), np.empty(3), np.empty(4), np.empty(4)
     for k in range(len(at)):
         likeness[k] = 0.0
         variance = _template(patches[k], weight, terms, N)
-        if variance > _LEAST_VARIANCE and _inverse(N, C):
+        invert(N, 1e-9, root, C)
+        determinant = 1.0 / (root[0, 0] * root[1, 1] * root[2, 2]) ** 2
+        if variance > _LEAST_VARIANCE and determinant > 1e-4 * N[0, 0] * N[1, 1] * N[2, 2]:  # else N is nearly singular
             likeness[k] = _slide(
                 picture, at[k], warp[k], weight, whole, terms, variance, C, wx, wy, right, h, moved[k]
             )  # fmt: skip

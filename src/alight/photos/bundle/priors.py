@@ -182,4 +182,3 @@ def velocities(centres: F64, seconds: F64, camera: I64) -> F64:
             elif legs:
                 out[i] = max((leg / t for leg, t, _ in legs), key=lambda v: float(v @ v))
     return out
-

@@ -63,7 +63,9 @@ def coarse_rounds(
     else:
         seconds = seconds.copy()
         seconds[aside] = np.nan  # their positions are not known yet
-        state = replace(state, lens=priors.lenses.with_maker_readouts(state.lens))
+        known, lens = [r is not None for r in priors.lenses.by_maker], state.lens.copy()
+        lens[np.array(priors.lenses.readout_numbers)[known]] = np.array(priors.lenses.by_maker, np.float64)[known]
+        state = replace(state, lens=lens)
         state, priors = _by_rows(state, few, rolling_priors(priors, state.centres, seconds))
     progress(0.6)
     return state, priors, aside
@@ -103,9 +105,7 @@ def _misfit(state: BundleState, obs: BundleObservations, priors: Priors) -> floa
     return cost * len(obs.photo) / max(len(used.photo), 1)
 
 
-def do_rounds(
-    state: BundleState, obs: BundleObservations, priors: Priors, *rounds: tuple[float, float]
-) -> BundleState:
+def do_rounds(state: BundleState, obs: BundleObservations, priors: Priors, *rounds: tuple[float, float]) -> BundleState:
     """Return the state after rounds of `ROUNDS`: each triangulates, removes outliers beyond its cut, and adjusts."""
     for loss, cut in rounds:
         state, used = retriangulate(state, obs, priors, cut, loss)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -29,20 +29,15 @@ def check_photos(
         settings: settings of the planned run.
         progress: called with the completed share.
     """
-    found = gather_photos(source, progress)
+    found, wrong = gather_photos(source, progress), source.findings.contradictions
+    reading = [bad("reading", w, "remove the wrong tags") if w in wrong else warning("reading", w, "")
+               for w in source.warnings]  # fmt: skip
     results = [
         judge_set(found), judge_focal(found), judge_positions(found), judge_heights(found), judge_attitude(found),
         judge_exposure(found), judge_sharpness(found), judge_overlap(found), judge_resolution(found, settings),
-        *_of_reading(source), estimate(found, settings),
+        *reading, estimate(found, settings),
     ]  # fmt: skip
     return [*results, verdict(results)]
-
-
-def _of_reading(source: Photos) -> Iterator[CheckResult]:
-    """Yield the source's warnings as results: contradictions as faults, and all others as warnings."""
-    for sentence in source.warnings:
-        contradicts = sentence in source.findings.contradictions
-        yield bad("reading", sentence, "remove the wrong tags") if contradicts else warning("reading", sentence, "")
 
 
 def judge_set(found: PhotoEvidence) -> CheckResult:
@@ -67,13 +62,11 @@ def judge_set(found: PhotoEvidence) -> CheckResult:
 def judge_focal(found: PhotoEvidence) -> CheckResult:
     """Judge the source of the focal length; `judge_heights` checks whether the pictures confirm it."""
     notes = found.source.notes
-    facts = [
-        f"{notes['focal_px']:.0f} px, {notes['focal_from']}",
-        *([notes["focal_note"]] if "focal_note" in notes else []),
-    ]
+    facts = f"{notes['focal_px']:.0f} px, {notes['focal_from']}"
+    facts += f"; {notes['focal_note']}" if "focal_note" in notes else ""
     if "guess" in notes["focal_from"]:
-        return warning("focal length", "; ".join(facts), "give the camera's calibration")
-    return good("focal length", "; ".join(facts))
+        return warning("focal length", facts, "give the camera's calibration")
+    return good("focal length", facts)
 
 
 def judge_positions(found: PhotoEvidence) -> CheckResult:

@@ -50,7 +50,8 @@ def calibrated_picture(tags: PhotoTags) -> CalibratedPicture:
     (w, h), exif_width = tags.size, tags.number(Base.ExifImageWidth)
     width = exif_width or w
     height = tags.number(Base.ExifImageHeight) or width * h / w
-    across, down = (2 * (_centre(tags, axis) or 0.0) for axis in "XY")
+    centre = "{}:CalibratedOpticalCenter{}".format
+    across, down = (2 * (tags.xmp_number(centre("dji", a)) or tags.xmp_number(centre("skydio", a)) or 0) for a in "XY")
     if across > 0 and not _alike(across, width) and _alike(across, height):
         width, height = height, width  # the size was rewritten after a turn
     if across > 0:
@@ -63,10 +64,6 @@ def calibrated_picture(tags: PhotoTags) -> CalibratedPicture:
     # DJI writes the centre beside each calibration: without it, a tool has rewritten the tags, and perhaps the size
     known = across > 0 or (bool(exif_width) and (not by_dji or width != w))
     return CalibratedPicture(width, height, max(w / width, h / height), turned, known)
-
-
-def _centre(tags: PhotoTags, axis: str) -> float | None:
-    return next((v for m in ("dji", "skydio") if (v := tags.xmp_number(f"{m}:CalibratedOpticalCenter{axis}"))), None)
 
 
 def _alike(a: float, b: float) -> bool:

@@ -125,4 +125,3 @@ def _by_ffmpeg(film: Path, seconds: float) -> tuple[list[tuple[float, bytes]], l
     parts = track("-map", "0:d", "-c", "copy", "-f", "data").split(b"DEVC")[1:]
     payloads = [(k * seconds / len(parts), b"DEVC" + part) for k, part in enumerate(parts)]
     return payloads, subtitles_in(track("-map", "0:s:0", "-f", "srt").decode("utf-8", errors="replace"))
-

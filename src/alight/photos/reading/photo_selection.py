@@ -17,9 +17,8 @@ import numpy as np
 from alight.arrays import U8
 from alight.photos.reading.photo_tags import COLOUR, Base, PhotoTags
 from alight.records import InputError
-from alight.sources.image_formats import EXTRAS, missing_extra
+from alight.sources.image_formats import EXTRAS, PLAIN, missing_extra
 
-PLAIN = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 SUFFIXES = (*PLAIN, *EXTRAS)
 VIVID = 30.0  # grey levels, spread of the colours about grey: photos of the ground have 4 to 21, palettes 24 to 170
 CURVE = 1.5  # cells of 16 levels that colours take, per level of spread: palettes take 0.2 to 1.5, vivid photos 2 to 10

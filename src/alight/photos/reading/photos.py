@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from hashlib import blake2b, file_digest
 from pathlib import Path
 from typing import NamedTuple
@@ -100,10 +101,9 @@ class Photos(Source):
         generic = root.name.lower() in ("images", "photos", "dcim", "jpg")
         self.name = root.parent.name if generic else root.name
         photos = self._readable(files, read)
-        photos = self._without(photos, repeated_photos(photos, self._reader.pixels_of))
-        photos = self._without(photos, panoramas(photos))
-        photos = self._without(photos, thermal_photos(photos))
-        photos = self._of_cameras(self._without(photos, other_bands(photos)), settings)
+        for left_out in (partial(repeated_photos, read=self._reader.pixels_of), panoramas, thermal_photos, other_bands):
+            photos = self._without(photos, left_out(photos))
+        photos = self._of_cameras(photos, settings)
         positions = settle_positions(photos, root, places, geoid)
         photos, distrusted = with_attitudes_settled(positions.photos)
         self._tags |= {p.path: p for p in photos}

@@ -41,7 +41,11 @@ UNDECLARED = "sea level or ellipsoid: not declared"
 REFERENCES = {  # first letters in a column of hemispheres or `GPSAltitudeRef`: of positive and of negative values
     "latitude": ("N", "S"), "longitude": ("E", "W"), "height": ("A02", "B13"),
 }  # fmt: skip
+ORDER = ("longitude", "latitude", "height", "yaw", "pitch", "roll", "across", "up")  # of the numbers in geo.txt
 FORM = "name x y [z] [yaw pitch roll] [sigma_h [sigma_v]]"  # of a line of geo.txt
+
+
+Row = tuple[int, str, dict[str, float]]  # line, name of the photo, numbers by role
 
 
 class GivenPlace(NamedTuple):
@@ -97,7 +101,8 @@ def places_beside(root: Path) -> Path | None:
     """
     for folder in [root, root.parent] if root.name.lower() in ("images", "photos") else [root]:
         files = _tables_in(folder)
-        found = [p for p in files if p.name.lower() == "geo.txt"] or [p for p in files if _has_header(p)]
+        found = [p for p in files if p.name.lower() == "geo.txt"]
+        found = found or [p for p in files if (header := _header_in(p)) and "name" in header.roles.values()]
         if len(found) > 1:
             raise InputError(f"{folder}: {found[0].name} and {found[1].name} both give places: name one with --places")
         if found:
@@ -125,10 +130,9 @@ def _tables_in(folder: Path) -> list[Path]:
     return sorted(p for p in folder.iterdir() if p.suffix.lower() in (".txt", ".csv") and p.is_file())
 
 
-def _has_header(path: Path) -> bool:
+def _header_in(path: Path) -> _Header | None:
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        header = _header_of(file.read(10_000).splitlines())
-    return header is not None and "name" in header.roles.values()
+        return _header_of(file.read(10_000).splitlines())
 
 
 def read_places(path: Path) -> Places:
@@ -171,7 +175,7 @@ def _crs_of(line: str) -> pyproj.CRS | None:
 def _read_geo(path: Path, lines: Sequence[tuple[int, str]], crs: pyproj.CRS) -> Places:
     up, datum = _vertical(path, crs)
     plane = crs.sub_crs_list[0] if crs.sub_crs_list else crs.to_2d()
-    rows, counts = list[tuple[int, str, list[float]]](), Counter[int]()
+    rows = list[Row]()
     for n, line in lines:
         words, parts = line.split(), [part.strip() for part in line.split(",")]
         if len(parts) > 2 and all(_number(part) is not None for part in parts[1:]) and "." in parts[1]:
@@ -183,26 +187,20 @@ def _read_geo(path: Path, lines: Sequence[tuple[int, str]], crs: pyproj.CRS) -> 
         if len(numbers) not in (2, 3, 6, 7, 8) or not np.isfinite(numbers[:2]).all():
             comma = ", with points for decimal commas and blanks between" * bool(re.search(r"\d,\d", line))
             raise InputError(f"{path}: line {n}: needs {FORM}{comma}; it has {len(numbers)} number(s) after the name")
-        rows.append((n, " ".join(words[:first]), numbers))
-        counts[len(numbers)] += 1
+        rows.append((n, " ".join(words[:first]), dict(zip(ORDER, numbers, strict=False))))
     if not rows:
         raise InputError(f"{path}: has no rows; needs {FORM}")
     try:
         transformer = pyproj.Transformer.from_crs(plane, WGS84, always_xy=True)
-        x, y = transformer.transform(*np.array([numbers[:2] for *_, numbers in rows]).T)
+        x, y = transformer.transform(*np.array([[value[axis] for axis in ORDER[:2]] for *_, value in rows]).T)
     except ProjError as e:
         raise InputError(f"{path}: {crs.name} cannot be turned into latitude and longitude ({e})") from e
-    out = dict[str, GivenPlace]()
-    for (n, name, numbers), longitude, latitude in zip(rows, x, y, strict=True):
-        height = up * numbers[2] if len(numbers) > 2 else math.nan
-        across, vertical = (*numbers[6:], math.nan, math.nan)[:2]
-        sigma = _sigma(across, across, vertical)
-        _put(out, path, n, name, GivenPlace(float(latitude), float(longitude), height, sigma))
-    most = counts.most_common(1)[0][0]
+    for (*_, value), longitude, latitude in zip(rows, x.tolist(), y.tolist(), strict=True):
+        value |= {"longitude": longitude, "latitude": latitude}
+    most = Counter(len(value) for *_, value in rows).most_common(1)[0][0]
     angles = ", angles not used (their convention is not declared)" if most >= 6 else ""
-    return Places(
-        path, out, datum, f"{crs.name}, x y{' z' if most > 2 else ''}{', sigmas' if most >= 7 else ''}{angles}"
-    )
+    settled = f"{crs.name}, x y{' z' if most > 2 else ''}{', sigmas' if most >= 7 else ''}{angles}"
+    return _places(path, rows, up, datum, settled)
 
 
 def _vertical(path: Path, crs: pyproj.CRS) -> tuple[float, str]:
@@ -279,7 +277,7 @@ def _read_table(path: Path, lines: Sequence[str], header: _Header) -> Places:
             "with its unit in brackets, or remove it"
         )
     up, datum = _declared(path, lines[: header.line - 1])
-    out, units = dict[str, GivenPlace](), {role: _unit(path, columns[k]) for k, role in roles.items()}
+    rows, units = list[Row](), {role: _unit(path, columns[k]) for k, role in roles.items()}
     for n, fields in enumerate(csv.reader(lines, delimiter=header.mark), 1):
         if n <= header.line or not any(f.strip() for f in fields) or fields[0].startswith("#"):
             continue
@@ -299,15 +297,13 @@ def _read_table(path: Path, lines: Sequence[str], header: _Header) -> Places:
             value[role] = number * units[role]
         for role, word in signs.items():
             value[role] = _signed(f"{path}: line {n}", value[role], word, REFERENCES[role])
-        across = value.get("across", math.nan)
-        sigma = _sigma(value.get("east", across), value.get("north", across), value.get("up", math.nan))
-        _put(out, path, n, name, GivenPlace(value["latitude"], value["longitude"], up * value["height"], sigma))
-    if not out:
+        rows.append((n, name, value))
+    if not rows:
         raise InputError(f"{path}: has a header and no rows")
     heights = [columns[k] for k, role in roles.items() if role == "height"]
     own = _datum(heights[0]) if heights else UNDECLARED
     used = ", ".join(columns[k] for k in roles) + (f"; not used: {', '.join(unused)}" if unused else "")
-    return Places(path, out, datum if own == UNDECLARED else own, f"columns {used}")
+    return _places(path, rows, up, datum if own == UNDECLARED else own, f"columns {used}")
 
 
 def _declared(path: Path, comments: Sequence[str]) -> tuple[float, str]:
@@ -358,18 +354,20 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _sigma(east: float, north: float, up: float) -> tuple[float, float, float] | None:
-    """Return the 1-sigma in metres, with NaN for a value that is not a positive number; None if all three are NaN."""
-    east, north, up = (s if 0 < s < math.inf else math.nan for s in (east, north, up))
-    return None if all(math.isnan(s) for s in (east, north, up)) else (east, north, up)
-
-
-def _put(rows: dict[str, GivenPlace], path: Path, line: int, name: str, place: GivenPlace) -> None:
-    if not (abs(place.latitude) <= 90 and abs(place.longitude) <= 180):
-        raise InputError(
-            f"{path}: line {line}: latitude {place.latitude:g}, longitude {place.longitude:g} is no place on Earth; "
-            "x is the longitude, y the latitude"
-        )
-    if name in rows:
-        raise InputError(f"{path}: line {line}: {name} stands twice")
-    rows[name] = place
+def _places(path: Path, rows: Sequence[Row], up: float, datum: str, settled: str) -> Places:
+    """Gather the rows of a file; `up`: metres per unit of height."""
+    out = dict[str, GivenPlace]()
+    for line, name, value in rows:
+        latitude, longitude, across = value["latitude"], value["longitude"], value.get("across", math.nan)
+        if not (abs(latitude) <= 90 and abs(longitude) <= 180):
+            raise InputError(
+                f"{path}: line {line}: latitude {latitude:g}, longitude {longitude:g} is no place on Earth; "
+                "x is the longitude, y the latitude"
+            )
+        if name in out:
+            raise InputError(f"{path}: line {line}: {name} stands twice")
+        sigmas = value.get("east", across), value.get("north", across), value.get("up", math.nan)
+        east, north, vertical = (s if 0 < s < math.inf else math.nan for s in sigmas)
+        sigma = None if np.isnan([east, north, vertical]).all() else (east, north, vertical)
+        out[name] = GivenPlace(latitude, longitude, up * value.get("height", math.nan), sigma)
+    return Places(path, out, datum, settled)

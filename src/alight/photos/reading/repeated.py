@@ -76,4 +76,3 @@ def _may_be_one(photos: Sequence[PhotoTags]) -> Iterator[tuple[int, list[int]]]:
         fits = (same_time | np.isnan(later)) & ((away <= 1e-5) | np.isnan(away)) & ~(np.isnan(later) & np.isnan(away))
         if len(better := np.flatnonzero(fits & (cameras[:k] == cameras[k]))):
             yield k, better.tolist()
-

@@ -135,7 +135,7 @@ def subtitles_in(text: str) -> list[Subtitle]:
 
 def _seconds(clock: str) -> float:
     """Convert h:m:s or m:s to seconds."""
-    return sum(60**k * float(part) for k, part in enumerate(reversed(clock.replace(",", ".").split(":"))))
+    return sum(60.0**k * float(part) for k, part in enumerate(reversed(clock.replace(",", ".").split(":"))))
 
 
 def _cue(seconds: float, body: str) -> _Cue:

@@ -162,25 +162,22 @@ def _cameras(
 ) -> tuple[TopicStream | None, TopicStream | None]:
     """Return the streams of the left and the right camera; None: there is none."""
     if calibrated and all(topic in streams for topic in calibrated):
-        first, second, *_ = *(streams[topic] for topic in calibrated), None
-        return first, second
+        return streams[calibrated[0]], streams[calibrated[1]] if len(calibrated) > 1 else None
     usable = [s for s in streams.values() if s.type in IMAGES and not s.refused and not NO_PICTURE.search(s.topic)]
     usable.sort(key=lambda s: ("raw" in s.topic, "rect" not in s.topic, "compressed" not in s.topic))
     cameras = {_camera(s): s for s in usable}  # of each camera the last, which is closest to what its sensor gave
     axes = {n: at.rotation[:, 2] for n, s in cameras.items() if (at := frames.between(body, s.frame)) is not None}
     names = [n for n in cameras if n in axes and -axes[n][2] > LOWEST] or [n for n in cameras if DOWN.search(n)]
     names = sorted(names or cameras)
-    if len(names) == 2 and _is_pair(*(cameras[n] for n in names)):
+    if len(names) == 2:
+        left, right = (cameras[n] for n in names)
         a, b = (axes.get(n, np.zeros(3)) for n in names)
-        if not (a.any() and b.any()) or a @ b > PARALLEL:
-            return cameras[names[0]], cameras[names[1]]
+        same_name = SIDE.sub("*", names[0]) == SIDE.sub("*", names[1])
+        fast, slow = max(left.rate, right.rate), min(left.rate, right.rate)
+        same_rate = fast - slow < 0.2 * fast or not slow  # 0: a single picture
+        parallel = not (a.any() and b.any()) or a @ b > PARALLEL
+        if same_name and same_rate and left.size == right.size and parallel:
+            return left, right
     if len(names) > 1:
         raise _question("left", [cameras[n] for n in names])
     return (cameras[names[0]] if names else None), None
-
-
-def _is_pair(a: TopicStream, b: TopicStream) -> bool:
-    """Whether two cameras are a pair by their names, sizes and rates."""
-    same_name = SIDE.sub("*", _camera(a)) == SIDE.sub("*", _camera(b))
-    same_rate = abs(a.rate - b.rate) < 0.2 * max(a.rate, b.rate) or not (a.rate and b.rate)  # 0: a single picture
-    return same_name and same_rate and a.size == b.size

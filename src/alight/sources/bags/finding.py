@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -29,14 +30,12 @@ def _is_of_ros(file: BinaryIO) -> bool:
     from alight.sources.recording import HEAD
 
     file.seek(0)
-    try:
+    with suppress(Exception):  # damaged bytes can make the library raise any exception
         for record in StreamReader(file).records:
-            if isinstance(record, Metadata) and record.name == HEAD:
-                return False
             if isinstance(record, Channel) and record.message_encoding in ("cdr", "ros1"):
                 return True
-    except Exception:  # damaged bytes can make the library raise any exception
-        return False
+            if isinstance(record, Metadata) and record.name == HEAD:
+                break
     return False
 
 
