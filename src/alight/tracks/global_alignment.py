@@ -33,30 +33,31 @@ def match_brightness(image: U8, other: U8, settings: TracksSettings) -> U8:
     # the SSD does not model exposure: a step of 20 % between two images caused an error of 0.4 px, a step of 50 % the
     # loss of nine of ten features. Small differences come from ground that only one image shows
     a, b = (i[::4, ::4].astype(np.float32) for i in (image, other))
-    most = settings.most_gain
-    gain = float(np.clip(b.std() / max(float(a.std()), 1e-3), 1.0 / most, most))
-    shift = float(b.mean()) - gain * float(a.mean())
-    if abs(gain - 1.0) < settings.same_gain and abs(float(b.mean() - a.mean())) < settings.same_grey:
+    mean, wanted = float(a.mean()), float(b.mean())
+    gain = float(b.std()) / max(float(a.std()), 1e-3)
+    if abs(gain - 1.0) < settings.same_gain and abs(wanted - mean) < settings.same_gain * mean:
         return image
+    shift = wanted - gain * mean
     levels = np.clip(np.round(gain * np.arange(256.0) + shift), 0, 255).astype(np.uint8)
     return np.asarray(cv2.LUT(image, levels))
 
 
-def common_shift(then: U8, now: U8, pixels: F32, predicted: F32, reach_px: int, least_overlap: float) -> F32:
+def common_shift(then: U8, now: U8, pixels: F32, predicted: F32, least_overlap: float) -> F32:
     """Return the (2,) shift, px, that corrects all predicted pixels; 0 if the images overlap too little.
+
+    A quarter of the image's shorter side is searched in each direction, so that half of the image is compared.
 
     Args:
         then, now: earlier and present image.
         pixels, predicted: (N, 2) pixels of the features in both images.
-        reach_px: largest shift in each axis.
         least_overlap: least share of the image that must overlap.
     """
     # one degree of tilt is 34 px, beyond the search of single features
     a, b = downsampled(then), downsampled(now)
     k = downsampling_factor(now)
     warped, valid = _warped(a, b, _affine_of(pixels, predicted, k))
-    r = reach_px // k
-    if valid.mean() < least_overlap or min(a.shape) <= 4 * r:
+    r = min(a.shape) // 4
+    if valid.mean() < least_overlap:
         return np.zeros(2, np.float32)
     high = [_high_pass(warped), _high_pass(b)]
     inner = high[0][r:-r, r:-r] * valid[r:-r, r:-r]

@@ -120,7 +120,7 @@ class Tracker:
         if good.mean() < 0.5 and now_from_then is not None:
             anchored[:] = False
             pixels, good = self._match_in_time(m, image, replace(predicted, covariance=None))
-        if good.mean() < self._settings.few_share:  # the prediction may be wrong as a whole: try without it
+        if good.mean() < self._settings.least_overlap:  # the prediction may be wrong as a whole: try without it
             covariance = prediction.covariance if prediction is not None else None
             turns = likely_turns(now_from_then, covariance, self._settings.search_sigmas)
             anywhere = PredictedPixels(relocate(m.image, image, m.pixels, turns), m.depth)
@@ -198,8 +198,7 @@ class Tracker:
         depth = m.depth if has_depth else self._views.common_depth((m.image, image), m.pixels, m.depth, now_from_then)
         predicted = self._views.predicted(m.pixels, depth, now_from_then, 0, relative_covariance)
         if np.linalg.norm(predicted.pixels - m.pixels, axis=1).mean() > self._settings.search_px:
-            s = self._settings
-            shift = common_shift(m.image, image, m.pixels, predicted.pixels, s.common_reach_px, s.least_overlap)
+            shift = common_shift(m.image, image, m.pixels, predicted.pixels, self._settings.least_overlap)
             return replace(predicted, pixels=predicted.pixels + shift, covariance=None)
         return predicted if has_depth and relative_covariance is not None else replace(predicted, covariance=None)
 
@@ -299,7 +298,7 @@ class Tracker:
         a, b = self._lenses[0].normalise(pixels.astype(np.float64)), self._lenses[i].normalise(found)
         with np.errstate(invalid="ignore", divide="ignore"):
             w, arm = inverse_depth(a, b, pose)
-            good &= epipolar_distance(a, b, pose) * focal < self._settings.epipolar_px
+            good &= epipolar_distance(a, b, pose) * focal < self._settings.close_px
             good &= w > -2.0 / (focal * arm)  # behind the camera by more than two pixels: a wrong match
             # a disparity of less than a pixel does not determine the depth
             z = np.where(good & (w * arm * focal > 1.0), 1.0 / w, np.nan)

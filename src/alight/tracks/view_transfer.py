@@ -136,7 +136,7 @@ class ViewTransfer:
         if not has_depth.any():
             return PredictedPixels(predicted, there)
         parallax = np.minimum(self._rig_baseline_px / np.maximum(z, 1e-9), s.depth_parallax_px)
-        relative_sigma = np.where(has_depth, s.depth_sigma_px / parallax, s.unknown_depth_share)
+        relative_sigma = np.where(has_depth, s.search_sigma_px / parallax, 1.0)  # unknown: as large as the depth
         by_depth = (moved - t) * relative_sigma[:, None]
         covariance = pixel_covariance(moved, by_depth, lens.camera.fu, relative_covariance)
         return PredictedPixels(predicted, there, covariance)
