@@ -240,15 +240,15 @@ def test_a_stage_gets_what_is_set_for_it(assignment: str, stage: str) -> None:
 
 
 def test_the_imu_of_a_recording_is_as_noisy_as_it_states() -> None:
-    """A recording's noise replaces defaults, with a margin; keys that are set win, zero is ignored. Settings stay."""
+    """A recording's noise replaces defaults, with a margin; zero is ignored. Settings stay."""
     imu = ImuNoise(gyroscope_noise_density=2e-3, accelerometer_noise_density=8e-3, gyroscope_random_walk=0.0)
-    settings = load_settings("", ["tuning.filter.accelerometer_noise=0.02"])
+    settings = Settings()
     found, plain = settings.stages(imu).motion.filter, settings.stages().motion.filter
     assert found.gyro_noise == 1.25 * 2e-3
-    assert (found.accelerometer_noise, plain.accelerometer_noise) == (0.02, 0.02)
+    assert (found.accelerometer_noise, plain.accelerometer_noise) == (1.25 * 8e-3, 3e-3)
     assert (found.gyro_walk, found.accelerometer_walk) == (plain.gyro_walk, plain.accelerometer_walk) == (3e-5, 3e-4)
     assert plain.gyro_noise == 5e-4
-    assert settings == load_settings("", ["tuning.filter.accelerometer_noise=0.02"])
+    assert settings == Settings()
 
 
 def test_stored_settings_read_back_the_same_recording_alike() -> None:

@@ -136,13 +136,12 @@ class Settings(FrozenModel):
         """Return the settings of every stage, each merged from its keys for users and its tuned constants.
 
         Args:
-            imu: noise that the recording states for its IMU; constants that are set here override it.
+            imu: noise that the recording states for its IMU.
         """
         t, motion, stages = self.tuning, self.motion, get_type_hints(StageSettings)
         noise = (imu or ImuNoise()).in_flight(t.filter.imu_margin)
-        set_here = {k: v for k, v in t.filter if v is not None}
         parts = {name: dict(getattr(self, name, ())) | dict(getattr(t, name, ())) for name in stages}
-        parts["motion"]["filter"] = FilterSettings.model_construct(**(dict(motion.filter) | noise | set_here))
+        parts["motion"]["filter"] = FilterSettings.model_construct(**(dict(motion.filter) | noise | dict(t.filter)))
         parts["motion"]["bundle"] = BundleSettings.model_construct(**(dict(motion.bundle) | dict(t.bundle)))
         return StageSettings(**{name: kind.model_construct(**parts[name]) for name, kind in stages.items()})
 

@@ -6,8 +6,6 @@ from pydantic import Field
 
 from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 
-_STATED = "null: as the recording states, times imu_margin, else"
-
 
 class FilterTuning(FrozenModel):
     """Constants of the structure-from-motion filter and of the smoother of recorded flights."""
@@ -66,17 +64,7 @@ class FilterTuning(FrozenModel):
     angular_acceleration_sigma: Positive = Field(
         2.0, description="Noise of the constant-velocity model without an IMU, rad/s^2 per sqrt(Hz)"
     )
-    gyro_noise: Positive | None = Field(None, description=f"Gyro noise, rad/s per sqrt(Hz); {_STATED} 5e-4")
-    gyro_walk: Positive | None = Field(
-        None, description=f"Random walk of the gyro bias, rad/s^2 per sqrt(Hz); {_STATED} 3e-5"
-    )
     gyro_bias_sigma: Positive = Field(0.02, description="1-sigma of the gyro bias at the start, rad/s")
-    accelerometer_noise: Positive | None = Field(
-        None, description=f"Accelerometer noise, m/s^2 per sqrt(Hz); {_STATED} 3e-3"
-    )
-    accelerometer_walk: Positive | None = Field(
-        None, description=f"Random walk of the accelerometer bias, m/s^3 per sqrt(Hz); {_STATED} 3e-4"
-    )
     accelerometer_bias_sigma: Positive = Field(0.2, description="1-sigma of the accelerometer bias at the start, m/s^2")
     imu_margin: Positive = Field(
         1.25, description="Noise of the IMU in flight over the noise that its maker states for a unit at rest"
