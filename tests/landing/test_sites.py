@@ -168,6 +168,20 @@ def test_candidates_are_what_nothing_refuses_the_surest_first_and_apart() -> Non
     assert first.look is None  # no observer is given
 
 
+def test_candidates_are_spread_over_the_ground() -> None:
+    """The chance is best on a patch of 6 m that has room for the whole list, and fair everywhere else."""
+    p = np.full((301, 301), 0.7)
+    p[20:80, 20:80] = 0.9
+    e = ground(np.zeros((301, 301)))
+    found = undecided(doubtful(e, p), e, count=5).candidates
+    at = np.array([[c.east, c.north] for c in found])
+    gaps = np.linalg.norm(at[:, None] - at[None], axis=2)[~np.eye(len(at), dtype=bool)]
+    assert len(found) == 5
+    assert gaps.min() > 10.0
+    assert found[0].p_safe == pytest.approx(0.9)  # the best one is listed first
+    assert len(undecided(doubtful(e, p), e, count=40).candidates) == 40  # a long list is filled with nearer ones
+
+
 def test_one_lucky_cell_is_no_good_candidate() -> None:
     e = ground(np.zeros((101, 101)))
     p = hill_of_chance(30, 70, 0.2)

@@ -14,11 +14,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from some_run import CELL, GRID, candidate, elevation, hazards, site, some_run
+from some_run import CELL, GRID, candidate, elevation, hazards, site, some_run, terrain
 
-from alight.records import Flag, Hazard, NextView, RunResult, Sites, p_safe_text
+from alight.records import Datum, Flag, Hazard, NextView, RunResult, Sites, Terrain, p_safe_text
 from alight.records.executive import FlightDiary, LookPicture, LookRecord
 from alight.report import canvas, facts, figures, maps, paint, render, words
+from alight.report.layers import layers_of
 from alight.report.maps import film
 from alight.settings import load_settings
 
@@ -214,6 +215,49 @@ def test_without_a_place_on_earth_metres_are_told() -> None:
     assert "WGS84" not in text
 
 
+def test_the_order_of_sites_and_their_quality_are_explained() -> None:
+    """The first site is less sure than the second, but has more room."""
+    near = replace(site(2, 12.0, 6.0), p_safe=0.971, clearance=0.6)
+    (table,) = facts.place_tables(some_run(sites=Sites((site(), near))))
+    assert [row.cells[1] for row in table.rows] == ["97.0 %", "97.1 %"]
+    assert [row.note.split("; ")[1] for row in table.rows] == [
+        "score 0.20: quality -0.20, room +1.00, doubt -0.60",
+        "score -0.66: quality -0.20, room +0.12, doubt -0.58",
+    ]
+    assert "Sites are in order of score" in table.hint
+    assert "Quality is 0 for level" in table.hint
+
+
+def test_the_place_on_earth_is_one_number_everywhere() -> None:
+    """The poses are known to 1 cm up, the heights to 8 cm: the ground's altitude is no better than its heights."""
+    datum = Datum(0.0, 0.0, np.diag([0.08**2, 1e-6, 1e-6]))
+    placed = replace(elevation(), position_covariance=np.diag([0.02**2, 0.01**2, 0.01**2]), datum=datum)
+    run = some_run(elevation=placed)
+    stated = {**dict(facts.answer(run).chips), **dict(facts.run_facts(run))}
+    assert stated["Place on Earth, 1-sigma"] == "± 2 cm across, ± 8 cm up"
+    assert stated["place of the whole map on Earth, 1-sigma"] == "± 2 cm across, ± 8 cm up"
+    assert stated["Altitude, WGS84"] == "303.1 m"
+
+
+def test_the_files_of_the_run_are_linked_and_missing_ones_explained() -> None:
+    text = render(some_run(), {"dem.tif": "", "route.plan": "no route was planned"})
+    assert '<a href="dem.tif">dem.tif</a></th><td>heights and their 1-sigma' in text
+    assert "route.plan</th><td>not written: no route was planned" in text
+
+
+def test_doubtful_land_cover_is_called_so() -> None:
+    """Half of the pond is water with 30 %: a class that is less than two thirds sure."""
+    cover = replace(terrain(), water=np.where(terrain().label == Terrain.WATER, 0.9, 0.0).astype(np.float32))
+    cover.water[80:95] = 0.3
+    layers = {layer.name: layer for layer in layers_of(some_run(terrain=cover), elevation())}
+    field, colours = layers["cover"].field, layers["cover"].colours
+    assert [field.values[field.codes[row, 120] - 1] for row in (85, 105)] == ["water, doubtful", "water"]
+    assert [colours.codes[field.codes[row, 120] - 1] for row in (85, 105)] == ["#2f78be80", "#2f78be"]
+    assert [(k.text, k.share) for k in colours.keys] == [
+        ("short grass", "92.1 %"), ("water (3.9 % doubtful)", "7.9 %")
+    ]  # fmt: skip
+
+
 def test_unknown_numbers_are_called_unknown() -> None:
     odd = replace(site(), clearance=math.nan, heading=math.nan, radius=math.nan)
     text = render(some_run(sites=Sites((odd,))))
@@ -251,6 +295,19 @@ def test_numbers_do_not_hide_other_sites() -> None:
     for m, (x, y) in zip(found, badges, strict=True):
         assert all(math.hypot(x - o.x, y - o.y) > o.r for o in found if o is not m)
         assert all(math.hypot(x - a, y - b) > 40 for a, b in badges if (a, b) != (x, y))
+
+
+def test_the_height_to_look_from_covers_no_number() -> None:
+    """Candidates above and below the first one: its text has to find room between their numbers."""
+    row = tuple(candidate(i + 1, 5.0 + 0.4 * i, -2.0 + 3.4 * ((i + 1) // 2) * (-1) ** i) for i in range(5))
+    run = some_run(sites=Sites((), "none", candidates=row))
+    found = figures.marks(run, canvas.whole(run.elevation))
+    (first,) = (m for m in found if m.look)
+    assert first.rank == 1
+    y = first.y + (first.r + 14) * (1 if first.aside[1] <= 0 else -1)
+    for m in found:
+        badge = m.x + m.aside[0] * (m.r + 21), m.y + m.aside[1] * (m.r + 21)
+        assert abs(badge[1] - y) > 30 or abs(badge[0] - first.x) > 85
 
 
 def test_a_footprint_is_drawn_to_scale() -> None:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import BROWSER, open_tab
 from length import EITHER, first, in_turn, long
 
 import alight
@@ -23,7 +24,7 @@ from alight.cluster import do_alike
 from alight.geometry import Pose
 from alight.records import InputError, OutputError
 from alight.records.campaign import Conditions, FaultRecord, LandingRecord, LightRecord, TouchdownLine
-from alight.records.executive import FlightDiary, FlightEvent, FlightState, LookRecord, Transition
+from alight.records.executive import FlightDiary, FlightEvent, FlightState, LookPicture, LookRecord, Transition
 from alight.settings import Settings, load_settings
 from alight.trials.campaign import run as runner
 from alight.trials.campaign.faults import FAULTS, LINK_FAULTS, Happenings
@@ -769,6 +770,40 @@ def test_the_dearest_landing_and_the_share_that_is_cheap_are_told() -> None:
     none = campaign_numbers([])
     assert none.cpu_most is None
     assert none.cpu_within is None
+
+
+def test_each_landing_has_its_row_and_the_film_of_its_looks(tmp_path: Path) -> None:
+    def looks(*given: Any) -> Landing:
+        landing = lands(*given)
+        photo, p_safe = np.full((200, 200, 3), 90, np.uint8), np.ones((200, 200), np.float32)
+        landing.diary.pictures += [LookPicture(look, photo, p_safe, 5.0) for look in landing.diary.looks]
+        return landing
+
+    fly_campaign(small([scene(tmp_path)], landings=2), tmp_path / "out", fly=looks)
+    record = CampaignFolder(tmp_path / "out").read()[1]
+    assert record.film == "looks-00001.webp"
+    assert (tmp_path / "out" / record.film).read_bytes()[8:12] == b"WEBP"
+    page = (tmp_path / "out" / "campaign.html").read_text()
+    assert page.count("data:image/webp;base64,") == 2
+    assert page.count("<tbody data-world=") == 2
+    assert 'data-outcome="landed safely"' in page
+
+
+@pytest.mark.skipif(BROWSER is None, reason="needs Chromium: apt-get install chromium")
+def test_landings_are_filtered_by_what_a_count_or_a_choice_names(tmp_path: Path) -> None:
+    names = [scene(tmp_path), scene(tmp_path, "wet", "water")]
+    fly_campaign(small(names), tmp_path / "out", fly=lands)
+    shown = "[...document.querySelectorAll('.landings tbody')].filter((r) => !r.hidden).map((r) => r.dataset.outcome)"
+    with open_tab(tmp_path / "profile") as tab:
+        tab.open(tmp_path / "out" / "campaign.html")
+        assert len(tab.run(shown)) == 4
+        tab.run("document.querySelector('a[data-outcome=\"landed unsafely\"]').click()")
+        assert tab.run(shown) == ["landed unsafely"] * 2
+        assert tab.run("document.querySelector('.filters output').textContent") == "2 of 4 landings"
+        choose = "(s => { s.value = 'landed safely'; s.dispatchEvent(new Event('input', {bubbles: true})) })"
+        tab.run(f"{choose}(document.querySelector('select[name=outcome]'))")
+        assert tab.run(shown) == []  # none of the water's
+        assert not [url for url in tab.requests if not url.startswith(("data:", "file:"))]
 
 
 def test_the_page_tells_outcomes_pictures_looks_and_another_campaign(tmp_path: Path) -> None:

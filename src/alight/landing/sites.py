@@ -191,7 +191,7 @@ def _peaks(score: F64, grid: Grid, count: int, apart: float, taken: list[Cell]) 
 
 
 def _spread(score: F64, hazards: HazardMap, count: int, apart: float, taken: list[Cell]) -> list[Cell]:
-    """Return up to `count` best cells, best first, spread over the judged ground; nearer ones only if others are few."""
+    """Return up to `count` best cells, best first, spread over the judged ground; nearer ones if others are few."""
     area = float(np.isfinite(hazards.p_safe).sum()) * hazards.grid.cell**2
     found = _peaks(score, hazards.grid, count, max(apart, math.sqrt(area / max(count, 1))), taken)
     found += _peaks(score, hazards.grid, count - len(found), apart, taken + found)

@@ -310,19 +310,21 @@ function profile(map) {
   });
   const known = points.flatMap((p) => p.ground === null ? [p.up] : [p.up, p.ground]);
   const [low, high, far] = [Math.min(...known), Math.max(...known), points.at(-1).far || 1];
-  const x = (p) => 60 + 920 * p.far / far, y = (h) => 200 - 170 * (h - low) / (high - low || 1);
+  $("profile").hidden = false;
+  const ground = points.filter((p) => p.ground !== null), svg = $("profile").querySelector("svg"), wide = svg.clientWidth - 90;
+  svg.setAttribute("viewBox", `0 0 ${wide + 90} 240`);
+  const x = (p) => 60 + wide * p.far / far, y = (h) => 200 - 170 * (h - low) / (high - low || 1);
   const line = (list, of) => list.map((p) => `${x(p).toFixed(1)},${y(of(p)).toFixed(1)}`).join(" ");
-  const ground = points.filter((p) => p.ground !== null), svg = $("profile").querySelector("svg");
   const name = way.style === "route" ? "The route to site 1" : "The flight";
   svg.setAttribute("aria-label", `${name}: ${metres(far)} long, heights from ${low.toFixed(1)} to ${high.toFixed(1)} m`);
   svg.append(
     drawn("polyline", { class: "ground", points: line(ground, (p) => p.ground) }),
     drawn("polyline", { class: "way", points: line(points, (p) => p.up) }),
     ...[low, high].map((h) => drawn("text", { x: 52, y: y(h) + 5, "text-anchor": "end" }, `${h.toFixed(0)} m`)),
-    ...[0, far].map((d, i) => drawn("text", { x: 60 + 920 * i, y: 228, "text-anchor": i ? "end" : "start" }, i ? metres(d) : "0")));
+    ...[0, far].map((d, i) => drawn("text", { x: 60 + wide * i, y: 228, "text-anchor": i ? "end" : "start" }, i ? metres(d) : "0")));
   const ring = L.circleMarker(points[0].place, { className: "shape waypoint", radius: 7, interactive: false });
   svg.addEventListener("pointermove", (e) => {
-    const box = svg.getBoundingClientRect(), wanted = far * ((e.clientX - box.left) / box.width * 1000 - 60) / 920;
+    const box = svg.getBoundingClientRect(), wanted = far * ((e.clientX - box.left) / box.width * (wide + 90) - 60) / wide;
     const p = points.reduce((a, b) => Math.abs(b.far - wanted) < Math.abs(a.far - wanted) ? b : a);
     ring.setLatLng(p.place).addTo(map);
     $("profile").querySelector("figcaption").textContent = `${metres(p.far)} along: ${p.up.toFixed(1)} m`
@@ -330,13 +332,13 @@ function profile(map) {
   });
   svg.addEventListener("pointerleave", () => ring.remove());
   $("profile").querySelector("h3").textContent = name;
-  $("profile").hidden = false;
 }
 
 // ---- all of it
 
 async function explore() {
   for (const field of Object.values(data.fields)) await unpack(field);
+  document.documentElement.classList.add("live"); // hides the picture that stands for the map without scripts
   $("explore").hidden = false;
   const whole = bounds(data.picture);
   const map = L.map("map", {
@@ -358,7 +360,6 @@ async function explore() {
 }
 
 if (window.DecompressionStream) {
-  document.documentElement.classList.add("live");
   explore().catch((error) => {
     document.documentElement.classList.remove("live");
     $("explore").hidden = true;

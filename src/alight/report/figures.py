@@ -40,7 +40,7 @@ class Mark:
     rank: int
     place: str
     kind: Kind
-    look: str = ""  # of a candidate: height of the next view
+    look: str = ""  # of the first candidate: height of the next view
     aside: tuple[float, float] = (0.0, -1.0)  # direction of the number from the disc
 
 
@@ -84,9 +84,8 @@ def marks(result: RunResult, c: Canvas) -> list[Mark]:
     out = []
     for s in result.sites.listed:
         x, y = c.xy(s.east, s.north)
-        look = f"{s.look.height:.0f} m" if s.look is not None else ""
-        if look and s is result.sites.candidates[0]:
-            look = f"look from {look}"
+        first = s.look is not None and s is result.sites.candidates[0]  # the table has the heights of the others
+        look = f"look from {s.look.height:.0f} m" if s.look is not None and first else ""
         room = max(radius, s.radius * c.per_metre) if math.isfinite(s.radius) else radius
         out.append(Mark(x, y, round(radius, 2), round(room, 2), s.rank, words.place(result, s), s.kind, look))
     return _aside(out, c)[::-1]
@@ -94,21 +93,28 @@ def marks(result: RunResult, c: Canvas) -> list[Mark]:
 
 def _aside(found: list[Mark], c: Canvas) -> list[Mark]:
     """Place each number beside its disc where it overlaps other marks least; the best site chooses first."""
-    numbers: list[tuple[float, float, float]] = []
+    taken: list[tuple[float, float, float]] = []
     out = []
     for m in found:
-        others = [(o.x, o.y, o.r) for o in found if o is not m] + numbers
-        spots = [(m.x + way[0] * (m.r + BADGE), m.y + way[1] * (m.r + BADGE)) for way in ASIDE]
-        best = min(range(len(spots)), key=[_hidden(x, y, others, c) for x, y in spots].__getitem__)
-        numbers.append((*spots[best], BADGE))
+        others = [(o.x, o.y, o.r) for o in found if o is not m] + taken
+        spots = [_covered(m, way) for way in ASIDE]
+        best = min(range(len(spots)), key=[sum(_hidden(*at, others, c) for at in spot) for spot in spots].__getitem__)
+        taken += spots[best]
         out.append(replace(m, aside=ASIDE[best]))
     return out
 
 
-def _hidden(x: float, y: float, others: list[tuple[float, float, float]], c: Canvas) -> float:
-    """Return the cost of drawing a number at (x, y): its overlap with other marks and beyond the picture's edge."""
-    outside = sum(max(BADGE - d, 0.0) for d in (x, y, canvas.WIDTH - x, c.height - y))
-    return 4 * outside + sum(max(r + BADGE - math.hypot(x - a, y - b), 0.0) for a, b, r in others)
+def _covered(m: Mark, way: tuple[float, float]) -> list[tuple[float, float, float]]:
+    """Return the discs (x, y, radius) covered by a mark's number on its side `way` and by its text opposite to it."""
+    beside, text = m.r + BADGE, -1 if way[1] > 0 else 1
+    number = (m.x + way[0] * beside, m.y + way[1] * beside, BADGE)
+    return [number, *((m.x + x, m.y + text * (m.r + 14), 14.0) for x in (-56.0, -28.0, 0.0, 28.0, 56.0) if m.look)]
+
+
+def _hidden(x: float, y: float, r: float, others: list[tuple[float, float, float]], c: Canvas) -> float:
+    """Return the cost of a disc of radius `r`: its overlap with other discs and beyond the picture's edge."""
+    outside = sum(max(r - d, 0.0) for d in (x, y, canvas.WIDTH - x, c.height - y))
+    return 4 * outside + sum(max(q + r - math.hypot(x - a, y - b), 0.0) for a, b, q in others)
 
 
 def _points(c: Canvas, positions: Sequence[NDArray[np.float64]]) -> str:
@@ -120,7 +126,7 @@ def _explain(result: RunResult) -> list[str]:
     if result.sites.sites:
         lines.append("Solid circle: the lander's footprint at a site; dotted: the largest safe disc about it.")
     if result.sites.candidates:
-        lines.append("Dashed circle with a square number: a candidate; below it the height above it to look from.")
+        lines.append("Dashed circle with a square number: a candidate.")
     lines += ["White line: the flight."] if result.motions else []
     above = "above the home" if result.home else "relative to the site, not to the vehicle's home"
     zero = f" The heights of route.plan are {above}."

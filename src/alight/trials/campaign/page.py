@@ -100,7 +100,7 @@ def _row(r: LandingRecord, pictures: Mapping[str, str]) -> LandingRow:
         str(r.number), c.scene, fault_of(r), r.outcome, f"{c.wind_speed:.1f} m/s", str(len(r.looks)),
         "" if p is None else p_safe_text(p), f"{r.seconds:.0f} s",
     )  # fmt: skip
-    note = ". ".join(filter(None, (r.error or r.why, _faults(r))))
+    note = "; ".join(filter(None, (r.error or r.why, _faults(r))))
     return LandingRow(r.number, c.scene, fault_of(r), r.outcome, cells, note, r.film, pictures.get(r.film or ""))
 
 
