@@ -13,6 +13,7 @@ from alight.records import SettingsError
 from alight.result import Result
 from alight.settings import Lander, Settings, load_settings, settings_of_keys
 from alight.settings.base import FrozenModel
+from alight.settings.units import with_degrees
 
 if TYPE_CHECKING:
     from alight.checks.result import CheckResult
@@ -75,7 +76,7 @@ def _plain_value(key: str, value: Any) -> Any:
 
     def plain(value: Any) -> Any:
         if isinstance(value, FrozenModel):
-            return value.model_dump(mode="json", exclude_unset=True)
+            return with_degrees(value.model_dump(mode="json", exclude_unset=True), type(value))
         if isinstance(value, PurePath):
             return str(value)
         if hasattr(value, "tolist"):  # NumPy, which is not imported here

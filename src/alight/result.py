@@ -12,6 +12,7 @@ from alight.outputs import write_run
 from alight.outputs.reading import read_evidence
 from alight.records import ElevationMap, HazardMap, Motion, Route, RunResult, Site, TerrainMap
 from alight.settings import Lander, Settings
+from alight.settings.units import with_degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +118,7 @@ class Result:
         """
         from alight.pipeline.again import judge_again, settings_to_judge
 
-        given = {} if lander is None else {"lander": lander.model_dump(mode="json")}
+        given = {} if lander is None else {"lander": with_degrees(lander.model_dump(mode="json"), Lander)}
         chosen = settings_to_judge(self.settings, {**given, **(settings or {})})
         return Result(judge_again(self.record, chosen, time.perf_counter))
 

@@ -21,8 +21,9 @@ from some_run import candidate, site, some_run
 
 from alight import __version__, cli
 from alight.cli.options import SettingsOptions
-from alight.cli.terminal import progress_bar
+from alight.cli.terminal import ProgressLines, progress_bar
 from alight.outputs import write_run
+from alight.pipeline.timing import with_whole
 from alight.records import InputError, Sites
 from alight.runner import replay
 from alight.settings import Settings
@@ -372,6 +373,25 @@ def test_progress_is_only_for_a_terminal(capsys: pytest.CaptureFixture[str]) -> 
         report("heights", 0.5)
         report("heights", 1.0)
     assert capsys.readouterr() == ("", "")
+
+
+def test_output_that_is_redirected_is_not_silent_for_minutes(capsys: pytest.CaptureFixture[str]) -> None:
+    now = [100.0]
+    report = with_whole(ProgressLines(15.0, lambda: now[0]), {"motion": 1.0, "heights": 3.0})
+    for seconds, stage, share in (
+        (5, "motion", 0.5), (16, "motion", 0.9), (17, "motion", 1.0), (18, "heights", 0.0), (20, "heights", 0.1),
+        (40, "heights", 0.5), (80, "heights", 1.0),
+    ):  # fmt: skip
+        now[0] = 100.0 + seconds
+        report(stage, share)
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.splitlines() == [
+        "motion: 90% after 16 s; about 55 s left",
+        "heights: 0% after 18 s; about 54 s left",
+        "heights: 50% after 40 s; about 24 s left",
+        "heights: 100% after 80 s; about 0 s left",
+    ]
 
 
 def test_poses_are_looked_at_before_the_work(flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -55,7 +55,7 @@ def test_the_answer_is_that_of_a_new_run(method: str, tmp_path: Path, capsys: py
     assert expected["answer"] != answer(tmp_path / "run")["answer"]
     run(method).judge(LANDER).save(tmp_path / "again")
     assert answer(tmp_path / "again") == expected
-    keys = ("radius=0.8", "max_slope=0.12", "rotor_radius=1.1")
+    keys = ("radius=80cm", "max_slope=0.12rad", "rotor_radius=1.1")
     assert call(["judge", str(tmp_path / "run"), *(w for k in keys for w in ("--set", f"lander.{k}"))]) == 0
     assert answer(tmp_path / "run-judged") == expected
     assert "SITE " in capsys.readouterr().out

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import re
 from operator import attrgetter
 from pathlib import Path
 
+import hypothesis
 import pytest
 import yaml
+from hypothesis import strategies as st
 from pydantic import ValidationError
 
 import alight
 from alight.settings import ImuNoise, Settings, load_settings, settings_of_keys, settings_of_run
 from alight.settings.loading import all_keys, user_keys
 from alight.settings.page import effects, settings_page
+from alight.settings.units import unit_of
 
 
 def test_nothing_needs_to_be_set() -> None:
@@ -170,6 +174,83 @@ def test_yaml_goes_out_and_comes_back(tuning: bool) -> None:
 
 def test_tuning_is_hidden_until_it_is_changed() -> None:
     assert "tuning" not in yaml.safe_load(Settings().to_yaml())
+
+
+@pytest.mark.parametrize(
+    ("assignment", "value"),
+    [
+        ("lander.max_slope=5deg", math.radians(5)), ("lander.max_slope=7.5 deg", math.radians(7.5)),
+        ("lander.max_slope=5°", math.radians(5)), ("lander.max_slope=0.1rad", 0.1), ("lander.max_slope=0.12", 0.12),
+        ("lander.max_slope=1.2rad", 1.2), ("lander.radius=35cm", 0.35), ("lander.radius=2m", 2.0),
+        ("lander.max_roughness=1e2mm", 0.1), ("route.cruise_speed=18km/h", 5.0), ("executive.time_budget=2min", 120.0),
+        ("motion.filter.time_offset=-12ms", -0.012), ("parallax.height_range=[-1m, 400cm]", (-1.0, 4.0)),
+        ("lander.skids={skids}", (0.3, 0.2)), ("sites.separation=null", None), ("lander.radius=2", 2.0),
+    ],
+)  # fmt: skip
+def test_a_value_may_have_its_unit(assignment: str, value: object) -> None:
+    assignment = assignment.format(skids="[30cm, 200mm]")
+    s = load_settings("", [assignment])
+    assert attrgetter(assignment.partition("=")[0])(s) == value
+    assert load_settings(s.to_yaml()) == s
+    assert settings_of_run(s.model_dump(mode="json")) == s
+
+
+@pytest.mark.parametrize(
+    ("assignment", "line"),
+    [
+        ("lander.max_slope=5", "lander.max_slope: 5 may be degrees or radians; write 5deg or 5rad"),
+        ("lander.max_slope=1.5", "lander.max_slope: 1.5 may be degrees or radians; write 1.5deg or 1.5rad"),
+        ("lander.max_slope='2'", "lander.max_slope: 2 may be degrees or radians; write 2deg or 2rad"),
+        (
+            "motion.given_attitude_sigma=3",
+            "motion.given_attitude_sigma: 3 may be degrees or radians; write 3deg or 3rad",
+        ),
+        ("lander.max_slope=95deg", "lander.max_slope: Input should be less than or equal to 90deg (got 95deg)"),
+        ("lander.radius=5kg", "lander.radius: give it in m, cm, mm or km (got '5kg')"),
+        ("route.wind=[1m/s, 2s]", "route.wind: give it in m/s, cm/s or km/h (got ['1m/s', '2s'])"),
+        ("lander.radius=-30cm", "lander.radius: Input should be greater than or equal to 0.001 (got -0.3)"),
+        ("sites.count=3m", "sites.count: Input should be a valid integer"),
+    ],
+)
+def test_a_unit_that_does_not_fit_is_refused(assignment: str, line: str) -> None:
+    with pytest.raises(ValueError, match="^" + re.escape(line)):
+        load_settings("", [assignment])
+
+
+def test_models_take_units_and_radians() -> None:
+    assert alight.Lander(radius="30cm", max_slope="5deg") == alight.Lander(radius=0.3, max_slope=math.radians(5))
+    assert alight.Lander(max_slope=1.2).max_slope == 1.2
+    assert settings_of_keys({"lander.max_slope": "5deg"}).lander.max_slope == math.radians(5)
+
+
+def test_settings_are_printed_with_their_units() -> None:
+    lines = load_settings("", ["lander.max_slope=0.123456789", "route.wind=[1, 2]"]).to_yaml(tuning=True).splitlines()
+    for line in (
+        "  radius: 1.5  # m",
+        "  wind: [1.0, 2.0]  # m/s",
+        "  cell: null  # m",
+        "  count: 8",
+        "  model: default",
+    ):
+        assert line in lines
+    assert "  max_slope: 10deg" in Settings().to_yaml().splitlines()
+    assert "    gyro_noise: null" in lines  # of a unit that cannot be written
+    assert "| `lander.max_slope` | 10deg | Steepest slope of the ground, rad |" in settings_page()
+
+
+@hypothesis.given(st.floats(1e-9, 1.5707))
+def test_an_angle_is_printed_as_what_it_is(angle: float) -> None:
+    s = Settings(lander=alight.Lander(max_slope=angle))
+    assert load_settings(s.to_yaml()) == s
+
+
+def test_every_length_angle_speed_and_time_of_the_vehicle_has_its_unit() -> None:
+    """A unit is read from the description; a number whose description declares none is a share, a weight or a count."""
+    bare = {key for key, info in user_keys().items() if "float" in str(info.annotation) and not unit_of(info)}
+    assert bare == {
+        "sources.rate", "hazards.p_safe", "hazards.alpha", "hazards.beta", "sites.distance_weight",
+        "executive.least_battery",
+    }  # fmt: skip
 
 
 def test_settings_cannot_be_changed_afterwards() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console, Group
 from rich.live import Live
 from rich.logging import RichHandler
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, Task, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -33,6 +33,14 @@ class _Stderr(Console):
             discard(sys.stderr)
 
 
+class _TimeLeft(TimeRemainingColumn):
+    """Time left of the whole, or of each stage if there is no progress of the whole."""
+
+    def render(self, task: Task) -> Text:
+        """Return the time left of a task; empty for a stage of a whole."""
+        return super().render(task) if task.fields["left"] else Text()
+
+
 stderr = _Stderr(stderr=True)
 log_handler = RichHandler(console=stderr, show_path=False, show_time=False)
 
@@ -40,13 +48,15 @@ log_handler = RichHandler(console=stderr, show_path=False, show_time=False)
 @contextmanager
 def bars() -> Iterator[Callable[[str, float], None]]:
     """Yield a function that updates the progress bar of a stage; the bars are removed at the end."""
+    from alight.pipeline.timing import WHOLE
+
     columns = (
         TextColumn("{task.description:<8}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
+        TextColumn("{task.fields[left]}"),
+        _TimeLeft(),
     )
     # the time left is estimated from the last 300 s: a tile may take a minute
     with Progress(*columns, console=stderr, transient=True, speed_estimate_period=300.0) as bar:
@@ -54,7 +64,8 @@ def bars() -> Iterator[Callable[[str, float], None]]:
 
         def report(stage: str, share: float) -> None:
             if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=1.0)
+                left = "left" if stage == WHOLE or WHOLE not in tasks else ""
+                tasks[stage] = bar.add_task(stage, total=1.0, left=left)
             bar.update(tasks[stage], completed=share)
 
         yield report

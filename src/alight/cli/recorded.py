@@ -151,7 +151,10 @@ class JudgeOptions(options.SettingsOptions):
 @options.command_of(JudgeOptions)
 def judge(o: JudgeOptions) -> None:
     """Judge the ground of a run for another lander or other limits, without motion and mapping."""
-    chosen = o.read_settings().model_dump(mode="json", exclude_unset=True)
+    from alight.settings import Settings
+    from alight.settings.units import with_degrees
+
+    chosen = with_degrees(o.read_settings().model_dump(mode="json", exclude_unset=True), Settings)
     from alight.outputs.evidence import EVIDENCE
     from alight.outputs.folder import prepare_folder
     from alight.outputs.reading import read_evidence

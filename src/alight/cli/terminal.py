@@ -6,6 +6,7 @@ import logging
 import math
 import os
 import sys
+import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
@@ -63,12 +64,39 @@ def print_line(line: str) -> None:
 
 
 def progress_bar() -> AbstractContextManager[Callable[[str, float], None]]:
-    """Return a context manager for progress bars on stderr, one per stage; without a terminal it shows nothing."""
+    """Return a context manager for progress bars on stderr, one per stage; without a terminal, see `ProgressLines`."""
     if not is_terminal():
-        return nullcontext(lambda stage, share: None)
+        return nullcontext(ProgressLines())
     from alight.cli.display import bars
 
     return bars()
+
+
+class ProgressLines:
+    """Progress as lines on stderr, for output that is redirected: work of less than `every` seconds prints nothing.
+
+    After that a line is printed when a stage begins, and at least every so many seconds if progress is reported.
+    """
+
+    def __init__(self, every: float = 15.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self._every, self._clock = every, clock
+        self._began = self._printed = clock()
+        self._stage, self._whole = "", 0.0
+
+    def __call__(self, stage: str, share: float) -> None:
+        """Print a line if it is due."""
+        from alight.pipeline.timing import WHOLE
+
+        now = self._clock()
+        if stage == WHOLE:
+            self._whole = share
+            return
+        begins, self._stage = stage != self._stage, stage
+        if now - self._began < self._every or not (begins or now - self._printed >= self._every):
+            return
+        self._printed, elapsed = now, now - self._began
+        left = f"; about {elapsed * (1 - self._whole) / self._whole:.0f} s left" if self._whole else ""
+        print_stderr(f"{stage}: {share:.0%} after {elapsed:.0f} s{left}")
 
 
 def live_table() -> AbstractContextManager[Callable[[Iterable[tuple[str, str]], Iterable[str]], None]]:

@@ -24,7 +24,6 @@ from alight.records.executive import FlightDiary
 from alight.settings import settings_of_run
 
 EVIDENCE = "evidence.npz"
-INLINE = 64  # values of an array that stands in the head; larger ones have members of their own
 _DAMAGED = (
     OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError, RecursionError, EOFError,
     MemoryError, zipfile.BadZipFile, NotImplementedError,
@@ -33,19 +32,19 @@ _DAMAGED = (
 
 @dataclass(frozen=True)
 class _Members:
-    """Large arrays of a record, by the name of their member in the file."""
+    """Rasters of a record, by the name of their member in the file."""
 
     arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def tree_of(self, value: Any) -> Any:
-        """Return a record, or a value of one, as a JSON tree; its large arrays are added to the members."""
+        """Return a record, or a value of one, as a JSON tree; its rasters are added to the members."""
         if isinstance(value, BaseModel):
             return value.model_dump(mode="json")
         if is_dataclass(value) and not isinstance(value, type):
             return {f.name: self.tree_of(getattr(value, f.name)) for f in fields(value) if f.init}
         if isinstance(value, np.ndarray):
             shown = {"dtype": value.dtype.str, "shape": value.shape}
-            if value.size <= INLINE:
+            if value.dtype == np.float64:  # poses and covariances
                 return {**shown, "values": value.ravel().tolist()}
             name = f"a{len(self.arrays)}"
             self.arrays[name] = packed(value)

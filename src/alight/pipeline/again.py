@@ -14,6 +14,7 @@ from alight.pipeline.timing import Clock, Timings
 from alight.records import InputError, RunResult, SettingsError
 from alight.settings import Settings
 from alight.settings.loading import all_keys, leaves, settings_of_keys
+from alight.settings.units import with_degrees
 
 JUDGED = tuple(f"{tuning}{group}." for tuning in ("", "tuning.") for group in ("lander", "hazards", "sites", "route"))
 BEFORE = (  # keys of these groups that are used before the judgement, or by `alight hazards`
@@ -34,8 +35,9 @@ def settings_to_judge(run: Settings, given: Mapping[str, Any]) -> Settings:
         SettingsError: a value is not valid, or the judgement does not use a key whose value differs from the run's.
     """
     try:
-        chosen, known = dict(leaves(given)), dict(leaves(run.model_dump(mode="json")))
-        merged = settings_of_keys({**known, **chosen})
+        stored = run.model_dump(mode="json")
+        known = dict(leaves(stored))
+        merged = settings_of_keys({**dict(leaves(with_degrees(stored, Settings))), **dict(leaves(given))})
     except ValueError as e:
         raise SettingsError(str(e)) from e
     now = dict(leaves(merged.model_dump(mode="json")))

@@ -3,12 +3,30 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import takewhile
 
 Clock = Callable[[], float]  # seconds
 Progress = Callable[[float], None]  # share done (0 to 1)
 StageProgress = Callable[[str, float], None]  # stage, share done (0 to 1)
+
+
+WHOLE = "whole"  # name of the progress of all stages together
+
+
+def with_whole(progress: StageProgress, parts: Mapping[str, float]) -> StageProgress:
+    """Return a function that also reports the progress of the whole, before that of a stage.
+
+    `parts`: usual duration of each stage, in order, in any unit.
+    """
+
+    def report(stage: str, share: float) -> None:
+        before = [parts[k] for k in takewhile(lambda k: k != stage, parts)]
+        progress(WHOLE, (sum(before) + share * parts.get(stage, 0.0)) / sum(parts.values()))
+        progress(stage, share)
+
+    return report
 
 
 def unreported(stage: str, share: float) -> None:

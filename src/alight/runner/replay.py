@@ -14,7 +14,7 @@ from alight.jobs import InTurn, Jobs
 from alight.outputs import FileStore, is_finished, prepare_folder
 from alight.pipeline import Pipeline, PipelineOptions, ScheduledPolicy, TimedPoses
 from alight.pipeline.navigation import NavigationLane
-from alight.pipeline.timing import StageProgress, unreported
+from alight.pipeline.timing import StageProgress, unreported, with_whole
 from alight.records import Frame, Home, InputError, PhotoRow, PriorHeights, RunResult
 from alight.runner.opening import open_source
 from alight.runs import appearance_of, result_of, with_home
@@ -74,6 +74,7 @@ def replay(
         source.imu_noise, prior, None if source.schedule is None else ScheduledPolicy(source.schedule),
         clock=time.perf_counter, tile_store=tile_store, jobs=jobs, history=source.schedule is None,
     )  # fmt: skip
+    progress = with_whole(progress, usual_parts(settings.motion.bundles(source.kind)))
     pipeline = Pipeline(source.rig, source.kind, settings, options)
     log.info("%s: %d exposures of %d camera(s)", source.name, source.length, len(source.rig.cameras))
     frames = 0
@@ -92,6 +93,15 @@ def replay(
     for row in photos:
         log.info("%s", row.line)
     return result_of(source, settings, decision, pipeline.timings, photos)
+
+
+def usual_parts(bundled: bool) -> dict[str, float]:
+    """Return the usual share of each stage of a run, %, in order; `bundled`: whether all poses are adjusted at the end.
+
+    Measured on the photos of Mirafiori, and on simulated flights of half a minute.
+    """
+    shares = (1.0, 41.0, 52.0, 6.0) if bundled else (40.0, 5.0, 45.0, 10.0)
+    return dict(zip(("reading", "motion", "heights", "judging"), shares, strict=True))
 
 
 def _adjustment(source: Source, settings: Settings, jobs: Jobs | None) -> NavigationLane | None:

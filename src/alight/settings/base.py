@@ -7,6 +7,8 @@ from typing import Annotated, Any, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from alight.settings.units import in_declared, unit_of
+
 MOST = 1e9  # limit of every length, time or weight in a setting; larger numbers cause overflows somewhere
 Positive = Annotated[float, Field(ge=1e-9, le=MOST, allow_inf_nan=False)]
 Finite = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
@@ -40,3 +42,20 @@ class FrozenModel(BaseModel):
         if wrong:
             raise ValidationError.from_exception_data(cls.__name__, wrong)
         return tree
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_units(cls, tree: Any) -> Any:
+        """Convert values with a unit, such as 30cm, to the unit that the key declares."""
+        given = {k: v for k, v in tree.items() if k in cls.model_fields} if isinstance(tree, dict) else {}
+        wrong, converted = list[InitErrorDetails](), dict[str, Any]()
+        for name, value in given.items():
+            if unit := unit_of(cls.model_fields[name]):
+                try:
+                    converted[name] = in_declared(value, unit)
+                except ValueError as e:
+                    error = PydanticCustomError("unit", "{why}", {"why": str(e)})
+                    wrong.append(InitErrorDetails(type=error, loc=(name,), input=value))
+        if wrong:
+            raise ValidationError.from_exception_data(cls.__name__, wrong)
+        return {**tree, **converted} if converted else tree

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from difflib import SequenceMatcher, get_close_matches
 from functools import cache
@@ -12,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from alight.documents import DocumentError, parse_yaml
+from alight.settings.units import is_ambiguous, unit_of
 from alight.settings.whole import Settings
 
 Tree = dict[str, Any]
@@ -53,6 +55,9 @@ def settings_of_run(stored: Mapping[str, Any]) -> Settings:
 
 
 def _to_fly(tree: Tree) -> Settings:
+    for key, value in leaves(tree):
+        if key in all_keys() and is_ambiguous(value, unit_of(all_keys()[key])):
+            raise ValueError(f"{key}: {value} may be degrees or radians; write {value}deg or {value}rad")
     settings = _validated(tree)
     if settings.too_low:
         raise ValueError(settings.too_low)
@@ -110,12 +115,20 @@ def leaves(tree: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any
             yield f"{before}{name}", value
 
 
+def _degrees(angle: float) -> str:
+    return f"{math.degrees(angle):.6g}deg"
+
+
 def _explain(error: ValidationError) -> str:
     lines: list[str] = []
     for e in error.errors():
         key = ".".join(str(k) for k in e["loc"])
         if e["type"] != "extra_forbidden":
-            lines.append(f"{key}: {e['msg']} (got {e['input']!r})")
+            got, limit, known = e["input"], [*e.get("ctx", {}).values()], all_keys().get(key)
+            if known is not None and unit_of(known) == "rad" and isinstance(got, float):
+                lines.append(f"{key}: {e['msg'].replace(str(limit[0]), _degrees(limit[0]))} (got {_degrees(got)})")
+                continue
+            lines.append(f"{key}: {e['msg']} (got {got!r})")
         else:
             like = nearest(key)
             lines.append(f"{key}: unknown key" + (f", did you mean {like}?" if like else ""))

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, get_type_hints
 
 import yaml
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from alight.settings import tuning as tuned
 from alight.settings import user
 from alight.settings.base import FrozenModel, Positive
+from alight.settings.units import unit_of, with_degrees
 
 
 @dataclass(frozen=True)
@@ -148,6 +151,8 @@ class Settings(FrozenModel):
     def to_yaml(self, tuning: bool = False) -> str:
         """Return YAML text for `load_settings`: the keys for users, and the changed constants of `tuning`.
 
+        Angles are in degrees; the units of other values stand as remarks.
+
         Args:
             tuning: whether to write all constants of `tuning`.
         """
@@ -156,4 +161,17 @@ class Settings(FrozenModel):
             tree.pop("tuning")
             changed = self.model_dump(mode="json", include={"tuning"}, exclude_defaults=True)
             tree |= changed if changed.get("tuning") else {}
-        return yaml.safe_dump(tree, sort_keys=False)
+        return "".join(f"{line}\n" for line in _yaml_lines(with_degrees(tree, Settings), Settings))
+
+
+def _yaml_lines(tree: dict[str, Any], model: type[BaseModel], before: str = "") -> Iterator[str]:
+    """Yield a line of YAML for each value, with its unit as a remark; `before`: indentation."""
+    for name, value in tree.items():
+        info = model.model_fields[name]
+        if isinstance(value, dict) and isinstance(info.annotation, type):
+            yield f"{before}{name}:"
+            yield from _yaml_lines(value, info.annotation, f"{before}  ")
+            continue
+        text = yaml.safe_dump(value, default_flow_style=True, width=math.inf).removesuffix("...\n").strip()
+        unit = unit_of(info)
+        yield f"{before}{name}: {text}" + (f"  # {unit}" if unit not in ("", "rad") else "")
