@@ -11,6 +11,7 @@ from alight import hazards, memory, terrain
 from alight.elevation import on_cells_up_to
 from alight.landing import sites
 from alight.landing.reserve import Reserve
+from alight.landing.zones import MapZones
 from alight.parallax.orthophoto import orthophoto
 from alight.parallax.wires.find import find_wires
 from alight.pipeline.map_frame import MapFrame, Tie
@@ -143,6 +144,7 @@ class JudgingLane:
     Args:
         appearance: appearance model; None: land cover from the evidence of the map itself only.
         memory: memory of the lane that this one replaces.
+        zones: the user's zones in the world; None: there are none.
     """
 
     def __init__(
@@ -151,8 +153,9 @@ class JudgingLane:
         appearance: terrain.Model | None,
         timings: Timings,
         memory: JudgingMemory = JudgingMemory(),
+        zones: MapZones | None = None,
     ) -> None:
-        self._settings, self._appearance, self._timings = settings, appearance, timings
+        self._settings, self._appearance, self._timings, self._zones = settings, appearance, timings, zones
         self.memory = memory
 
     def judge(self, seen: MapSnapshot) -> Verdict:
@@ -178,7 +181,9 @@ class JudgingLane:
             )
         _tidy(elevation)
         with self._timings.of("sites"):
+            found = found if self._zones is None else self._zones.judged(found, frame.offset_world[:2])
             chosen = sites.choose_sites(found, land_cover, elevation, s.sites, s.lander, observer(seen))
+            chosen = chosen if self._zones is None else self._zones.named(chosen, frame.offset_world[:2])
             apart = sites.separation(s.sites, s.lander)
             self.memory = self.memory.with_reserve(self.memory.kept.updated(chosen, found, apart), frame)
         return Verdict(without_water(seen.elevation, land_cover), land_cover, found, chosen, frame, seen.missing)

@@ -22,6 +22,7 @@ from alight.records.landing import (
     Hazard,
     HazardMap,
     Kind,
+    NearZone,
     NextView,
     Route,
     Site,
@@ -67,3 +68,4 @@ from alight.records.telemetry import (
     is_absolute,
 )
 from alight.records.wires import Wire, nearest_wire
+from alight.records.zones import NO_ZONES, GroundZone, Zones, ZonesOnPlane

@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from alight.records import ElevationMap, Kind, RunResult
+from alight.records.zones import USES
 from alight.report import canvas, paint, words
 from alight.report.canvas import Canvas
 
@@ -55,6 +57,15 @@ class Mark:
 
 
 @dataclass(frozen=True)
+class Outline:
+    """A zone on a picture: the SVG path of its border, its use and its label."""
+
+    path: str
+    use: str
+    label: str
+
+
+@dataclass(frozen=True)
 class Bar:
     """A scale bar."""
 
@@ -75,6 +86,7 @@ class Figure:
     caption: str = ""
     keys: Sequence[Key] = ()
     scale: Scale | None = None
+    zones: Sequence[Outline] = ()
     flown: str = ""  # SVG points of the flight path
     route: str = ""  # SVG points of the route
     classes: Sequence[str] = ()
@@ -102,6 +114,19 @@ def marks(result: RunResult, c: Canvas) -> list[Mark]:
     return _aside(out, c)[::-1]
 
 
+def outlines(result: RunResult, c: Canvas) -> list[Outline]:
+    """Return the borders of the zones on a picture; keep-out zones come last, so that they are drawn on top."""
+    cell, _, west, _, _, north = c.grid.transform
+    window = shapely.box(west, north - c.grid.rows * cell, west + c.grid.cols * cell, north)
+    out = []
+    for z in sorted(result.zones.zones, key=lambda z: USES[::-1].index(z.use)):
+        area = z.shape.buffer(z.reach).intersection(window).simplify(1.0 / c.per_metre)
+        rings = [r for p in shapely.get_parts(area) if p.geom_type == "Polygon" for r in (p.exterior, *p.interiors)]
+        path = " ".join("M" + " L".join("{} {}".format(*c.xy(x, y)) for x, y in ring.coords) + "Z" for ring in rings)
+        out += [Outline(path, z.use, z.label)] if path else []
+    return out
+
+
 def _aside(found: list[Mark], c: Canvas) -> list[Mark]:
     """Place each number beside its disc where it overlaps other marks least; the best site chooses first."""
     numbers: list[tuple[float, float, float]] = []
@@ -125,13 +150,14 @@ def _points(c: Canvas, positions: Sequence[NDArray[np.float64]]) -> str:
     return " ".join("{},{}".format(*c.xy(float(p[0]), float(p[1]))) for p in positions)
 
 
-def _explain(result: RunResult) -> list[str]:
+def _explain(result: RunResult, zones: Sequence[Outline]) -> list[str]:
     lines = []
     if result.sites.sites:
         lines.append("Solid circle: the lander's footprint at a site; dotted: the largest safe disc about it.")
     if result.sites.candidates:
         lines.append("Dashed circle with a square number: a candidate; below it the height above it to look from.")
     lines += ["White line: the flight."] if result.motions else []
+    lines += ["Red: keep-out zones; orange: to be avoided; blue: landing, search and preferred zones."] * bool(zones)
     above = "above the home" if result.home else "relative to the site, not to the vehicle's home"
     zero = f" The heights of route.plan are {above}."
     return lines + (["Green dashes: the way to site 1." + zero] if result.route else [])
@@ -139,7 +165,7 @@ def _explain(result: RunResult) -> list[str]:
 
 def overview(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
     """Return the orthophoto with sites, candidates, flight path and route."""
-    sites, candidates = len(result.sites.sites), len(result.sites.candidates)
+    sites, candidates, zones = len(result.sites.sites), len(result.sites.candidates), outlines(result, c)
     shown = f"{words.counted(sites, 'numbered landing site')} and {words.counted(candidates, 'candidate')}"
     return Figure(
         title="The ground from above",
@@ -148,9 +174,10 @@ def overview(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
         height=round(c.height, 1),
         marks=marks(result, c),
         bar=scale_bar(c),
+        zones=zones,
         flown=_points(c, [m.world_from_body.translation for m in result.motions]),
         route=_points(c, [w.position_world for w in result.route.waypoints]) if result.route else "",
-        caption=" ".join(_explain(result)),
+        caption=" ".join(_explain(result, zones)),
         classes=("big",),
     )
 
@@ -169,6 +196,7 @@ def closeups(result: RunResult, elevation: ElevationMap) -> list[Figure]:
         "height": round(c.height, 1),
         "marks": marks(result, c),
         "bar": scale_bar(c),
+        "zones": outlines(result, c),
         "classes": ("near",),
     }
     return [

@@ -14,7 +14,7 @@ from alight.arrays import U8
 from alight.records import ElevationMap, HazardMap, RunResult, Terrain, TerrainMap, p_safe_text
 from alight.report import canvas, paint, words
 from alight.report.canvas import Canvas
-from alight.report.figures import Figure, Key, Scale, marks, scale_bar
+from alight.report.figures import Figure, Key, Scale, marks, outlines, scale_bar
 
 if TYPE_CHECKING:
     from alight.records.executive import LookPicture
@@ -131,8 +131,8 @@ def all_maps(result: RunResult, elevation: ElevationMap, c: Canvas) -> list[Figu
     if (cover := result.terrain_as_mapped) is not None:
         figures.append(classes_figure(cover, elevation, c))
     figures.append(missing_figure(elevation, c))
-    drawn, bar = marks(result, c), scale_bar(c)
-    return [replace(f, marks=drawn, bar=bar, classes=("plain", "small")) for f in figures]
+    drawn, bar, zones = marks(result, c), scale_bar(c), outlines(result, c)
+    return [replace(f, marks=drawn, bar=bar, zones=zones, classes=("plain", "small")) for f in figures]
 
 
 def film(result: RunResult) -> list[Figure]:
