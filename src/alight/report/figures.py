@@ -57,7 +57,7 @@ class Mark:
 
 
 @dataclass(frozen=True)
-class Outline:
+class ZoneMark:
     """A zone on a picture: the SVG path of its border, its use and its label."""
 
     path: str
@@ -86,7 +86,7 @@ class Figure:
     caption: str = ""
     keys: Sequence[Key] = ()
     scale: Scale | None = None
-    zones: Sequence[Outline] = ()
+    zones: Sequence[ZoneMark] = ()
     flown: str = ""  # SVG points of the flight path
     route: str = ""  # SVG points of the route
     classes: Sequence[str] = ()
@@ -114,7 +114,7 @@ def marks(result: RunResult, c: Canvas) -> list[Mark]:
     return _aside(out, c)[::-1]
 
 
-def outlines(result: RunResult, c: Canvas) -> list[Outline]:
+def outlines(result: RunResult, c: Canvas) -> list[ZoneMark]:
     """Return the borders of the zones on a picture; keep-out zones come last, so that they are drawn on top."""
     cell, _, west, _, _, north = c.grid.transform
     window = shapely.box(west, north - c.grid.rows * cell, west + c.grid.cols * cell, north)
@@ -123,7 +123,7 @@ def outlines(result: RunResult, c: Canvas) -> list[Outline]:
         area = z.shape.buffer(z.reach).intersection(window).simplify(1.0 / c.per_metre)
         rings = [r for p in shapely.get_parts(area) if p.geom_type == "Polygon" for r in (p.exterior, *p.interiors)]
         path = " ".join("M" + " L".join("{} {}".format(*c.xy(x, y)) for x, y in ring.coords) + "Z" for ring in rings)
-        out += [Outline(path, z.use, z.label)] if path else []
+        out += [ZoneMark(path, z.use, z.label)] if path else []
     return out
 
 
@@ -150,7 +150,7 @@ def _points(c: Canvas, positions: Sequence[NDArray[np.float64]]) -> str:
     return " ".join("{},{}".format(*c.xy(float(p[0]), float(p[1]))) for p in positions)
 
 
-def _explain(result: RunResult, zones: Sequence[Outline]) -> list[str]:
+def _explain(result: RunResult, zones: Sequence[ZoneMark]) -> list[str]:
     lines = []
     if result.sites.sites:
         lines.append("Solid circle: the lander's footprint at a site; dotted: the largest safe disc about it.")
