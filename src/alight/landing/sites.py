@@ -220,7 +220,7 @@ def choose_sites(
     """Rank the sites, then the candidates: cells that no limit refuses, with P(safe) below the limit.
 
     The best site comes first; the other sites are held in reserve. A candidate is worth another look. Cells that are to
-    be avoided (`Hazard.AVOID`) are the last candidates, or the sites if there is no other.
+    be avoided (`Hazard.AVOID`) are the last candidates, or the sites if there is neither.
 
     Args:
         hazards: reasons against a touchdown, P(safe) with its factors, quality and clearance of every cell.
@@ -239,13 +239,13 @@ def choose_sites(
     # a candidate's clearance is the distance to refused cells; undecided cells do not reduce it
     room, clearance = clearance_of((hazards.reasons & ~(doubt | avoid)) == 0, grid.cell), hazards.clearance
     safe = _peaks(c.score(hazards.reasons == 0, clearance), grid, settings.count, apart, [])
-    if not safe and hazards.zone is not None:
-        clearance = clearance_of((hazards.reasons & ~avoid) == 0, grid.cell)
-        safe = _peaks(c.score(hazards.reasons == avoid, clearance), grid, settings.count, apart, [])
-    undecided = list[Cell]()
-    for allowed in (hazards.reasons == doubt, (hazards.reasons & ~doubt) == avoid):
-        left = settings.count - len(safe) - len(undecided)
-        undecided += _peaks(c.candidate_score(allowed, room), grid, left, apart, [*safe, *undecided])
+    undecided = _peaks(c.candidate_score(hazards.reasons == doubt, room), grid, settings.count - len(safe), apart, safe)
+    if hazards.zone is not None:
+        if not safe and not undecided:
+            clearance = clearance_of((hazards.reasons & ~avoid) == 0, grid.cell)
+            safe = _peaks(c.score(hazards.reasons == avoid, clearance), grid, settings.count, apart, [])
+        left, avoided = settings.count - len(safe) - len(undecided), (hazards.reasons & ~doubt) == avoid
+        undecided += _peaks(c.candidate_score(avoided, room), grid, left, apart, [*safe, *undecided])
     sites = tuple(c.place(i + 1, at, clearance, False) for i, at in enumerate(safe))
     candidates = tuple(c.place(len(safe) + i + 1, at, room, True) for i, at in enumerate(undecided))
     reason = "" if sites else why_no_site(hazards, elevation, settings, lander)

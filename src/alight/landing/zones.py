@@ -88,8 +88,9 @@ class MapZones:
         away = shapely.distance([z.shape for z in zones], at) - [z.reach for z in zones]
         nearest = zones[int(away.argmin())]
         to = np.subtract(*shapely.get_coordinates(shapely.shortest_line(nearest.shape, at)))
-        bearing = math.atan2(to[0], to[1]) % (2.0 * math.pi)
-        return NearZone(nearest.label, max(float(away.min()), 0.0), bearing)
+        inside = away.min() <= 0.0
+        bearing = math.nan if inside else math.atan2(to[0], to[1]) % (2.0 * math.pi)
+        return NearZone(nearest.label, 0.0 if inside else float(away.min()), bearing)
 
 
 def _frame(grid: Grid) -> shapely.Geometry:

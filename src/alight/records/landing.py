@@ -31,7 +31,7 @@ class Hazard(IntFlag):
     TRAFFIC = 256  # a moving object crossed or passed the cell recently
     WIRE = 512  # a wire hangs over the footprint or beside it
     ZONE = 1024  # in a keep-out zone, or outside the landing or search zones
-    AVOID = 2048  # in a zone to be avoided: a site only where there is no other
+    AVOID = 2048  # in a zone to be avoided: a site only where there is no other site or candidate
 
 
 def is_site(p_safe: F32, least: float) -> Mask:
@@ -112,7 +112,7 @@ class NearZone:
 
     label: str  # use, name and reason
     distance: float  # metres from the site to the zone's border; 0: the site lies in it
-    bearing: float  # rad, clockwise from north, from the site
+    bearing: float  # rad, clockwise from north, from the site; NaN: the site lies in it
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class Site:
     look: NextView | None = None  # candidate: the next view; None: no view would settle the doubt
     p_wires: float = 1.0
     zone: NearZone | None = None  # nearest zone; None: there are no zones
-    avoid: str = ""  # zone to be avoided in which it lies; it is then a site only where there is no other
+    avoid: str = ""  # zone to be avoided in which it lies; it is a site only where there is no other place
     preferred: bool = False  # whether it lies in a zone whose sites rank higher
 
     @classmethod

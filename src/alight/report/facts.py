@@ -104,7 +104,7 @@ def _place_sigma(result: RunResult) -> PlaceSigma | None:
 def cautions(result: RunResult, site: Site) -> tuple[str, ...]:
     """Return the sentences to read before anyone flies to the site."""
     place = _place_sigma(result)
-    avoided = (f"It lies in {site.avoid}: there is no other site.",) if site.avoid and site.kind == "site" else ()
+    avoided = (f"It lies in {site.avoid}: there is no other place.",) if site.avoid and site.kind == "site" else ()
     if place is None or 2.0 * place.horizontal <= site.clearance:
         return (*avoided, NO_CLEARANCE)
     beside = (

@@ -58,11 +58,14 @@ class Mark:
 
 @dataclass(frozen=True)
 class ZoneMark:
-    """A zone on a picture: the SVG path of its border, its use and its label."""
+    """A zone on a picture: the SVG path of its border, its use, its label, and its name where there is room."""
 
     path: str
     use: str
     label: str
+    name: str
+    x: float  # of the name, page units
+    y: float
 
 
 @dataclass(frozen=True)
@@ -121,9 +124,13 @@ def outlines(result: RunResult, c: Canvas) -> list[ZoneMark]:
     out = []
     for z in sorted(result.zones.zones, key=lambda z: USES[::-1].index(z.use)):
         area = z.shape.buffer(z.reach).intersection(window).simplify(1.0 / c.per_metre)
-        rings = [r for p in shapely.get_parts(area) if p.geom_type == "Polygon" for r in (p.exterior, *p.interiors)]
+        rings = [r for p in shapely.get_parts(area) if p.area > 0.0 for r in (p.exterior, *p.interiors)]
         path = " ".join("M" + " L".join("{} {}".format(*c.xy(x, y)) for x, y in ring.coords) + "Z" for ring in rings)
-        out += [ZoneMark(path, z.use, z.label)] if path else []
+        if path:
+            x0, _, x1, _ = area.bounds
+            has_room = (x1 - x0) * c.per_metre > 10.0 * len(z.name)
+            x, y = c.xy(*shapely.get_coordinates(area.representative_point())[0])
+            out.append(ZoneMark(path, z.use, z.label, z.name if has_room else "", x, y))
     return out
 
 
