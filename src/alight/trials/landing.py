@@ -135,9 +135,10 @@ class Trial:
         self._vehicle, self._settings = vehicle, settings.model_copy(update={"parallax": recursive})
         self._costs = Timings(time.process_time)
         policy = FlightPolicy(every=0)  # judged when the executive needs it
+        on_maps = MapZones(zones, settings.lander.reach) if zones.zones else None
         options = PipelineOptions(
             appearance=appearance, imu=vehicle.imu_noise, policy=policy, on_verdict=self._judged,
-            clock=time.perf_counter, history=False, zones=MapZones(zones, settings.lander.reach) if zones.zones else None,
+            clock=time.perf_counter, history=False, zones=on_maps,
         )  # fmt: skip
         self._pipeline = _MeasuredPipeline(vehicle.rig, "flight", self._settings, options)
         self._pipeline.costs = self._costs

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import shapely
+from autopilot_rig import LOCAL
 from length import in_turn
 from made_up_ground import Ground, clearer_from_below
 from pilot_rig import PLACE, WRONG, PilotRig
@@ -148,7 +149,7 @@ def judged(zone: GroundZone, height: float) -> p.CheckResult:
     r.up_and_flying(height)
     degrees = shapely.transform(zone.shape, lambda at: np.array([r.sim.home.degrees([*p, 0.0])[1::-1] for p in at]))
     fields = {**vars(zone), "shape": degrees}
-    return p.judge_zones(r.vehicle, Zones("zones.geojson", (GroundZone(**fields),)), Settings())
+    return p.judge_zones(r.vehicle, Zones("zones.geojson", (GroundZone(**fields),)), LOCAL, Settings())
 
 
 @pytest.mark.parametrize(
