@@ -98,6 +98,7 @@ def run(
     prior_dem: str | Path | None = None,
     home: str | None = None,
     geoid: str | Path | None = None,
+    zones: str | Path | None = None,
     scheduler: str | None = None,
     progress: Progress = _quiet,
 ) -> Result:
@@ -114,6 +115,7 @@ def run(
             separation there (ellipsoid minus sea level, metres) as a fourth number. None: heights of `route.plan` are
             relative to the landing site.
         geoid: raster of geoid heights in metres, on a grid of degrees.
+        zones: GeoJSON of zones where to land never, only or rather (docs/zones.md).
         scheduler: address of a Dask cluster that processes the photos, such as tcp://host:8786.
         progress: called with the name of the stage and the share of it that is done.
 
@@ -122,18 +124,21 @@ def run(
     """
     from alight.cluster import open_jobs
     from alight.outputs import FileStore
+    from alight.pipeline import PipelineOptions
     from alight.runner.opening import open_source
     from alight.runner.replay import prior_heights, replay, settings_for
-    from alight.runs import known_home, with_home
+    from alight.runs import known_home, with_home, zones_of
 
     chosen = settings_of(settings, lander)
     armed_at = known_home(home, None if geoid is None else Path(geoid))
     recording = open_source(Path(source), chosen) if isinstance(source, str | Path) else source
     chosen = settings_for(recording, chosen)
     prior = prior_heights(recording, chosen, None if prior_dem is None else Path(prior_dem))
+    limits = zones_of(recording, chosen, None if zones is None else Path(zones))
     store = FileStore(Path(tempfile.gettempdir()))
     with single_threaded_algebra(), closing(store), open_jobs(scheduler) as jobs:
-        return Result(with_home(replay(recording, chosen, poses, progress, store, jobs, prior), armed_at))
+        options = PipelineOptions(prior=prior, tile_store=store, jobs=jobs, zones=limits)
+        return Result(with_home(replay(recording, chosen, poses, progress, options), armed_at))
 
 
 def judge(
@@ -141,6 +146,7 @@ def judge(
     *,
     sigma: float | str | Path | None = None,
     image: str | Path | None = None,
+    zones: str | Path | None = None,
     lander: Lander | None = None,
     settings: SettingsLike = None,
 ) -> Result:
@@ -150,7 +156,7 @@ def judge(
         dem: a height raster with square cells, in metres or feet.
         sigma: 1-sigma of the heights, metres or a raster; None: the raster's second band, or `hazards.usual_sigma`.
         image: image of the same ground from above; with two or more pixels per cell it sharpens the heights.
-        lander, settings: see `run`.
+        zones, lander, settings: see `run`.
 
     Raises:
         AlightError: a raster or a setting cannot be used; the message gives the remedy.
@@ -163,7 +169,7 @@ def judge(
         Path(dem), None if sigma is None else str(sigma), None if image is None else Path(image),
         chosen.hazards.usual_sigma,
     )  # fmt: skip
-    return runner.judge_ground(ground, chosen, Path(dem).name)
+    return runner.judge_ground(ground, chosen, Path(dem).name, None if zones is None else Path(zones))
 
 
 def simulate(scene: str | Path | Scene = "demo", seed: int = 0, **wishes: Any) -> SimulatedFlight:

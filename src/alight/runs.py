@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from alight.landing.zones import MapZones
 from alight.pipeline import Decision
 from alight.records import Home, InputError, PhotoRow, RunResult, Telemetry
 from alight.settings import Settings
@@ -95,6 +96,22 @@ def _of_no_use(result: RunResult, home: Home) -> str:
     if not math.isfinite(home.separation):
         return "the receiver does not report both heights; give --separation, metres from sea level to the ellipsoid"
     return ""
+
+
+def zones_of(source: Described, settings: Settings, file: Path | None) -> MapZones | None:
+    """Read the zones of a file for the world of a source; None: no file is given.
+
+    Raises:
+        InputError: the file cannot be used, or the source has no place on Earth.
+    """
+    if file is None:
+        return None
+    from alight.sources.zones import read_zones
+
+    zones = read_zones(file)
+    if not source.georeferenced:
+        raise InputError(f"--zones: {source.name} has no place on Earth; run it without")
+    return MapZones(zones.in_world(source.local), settings.lander.reach)
 
 
 def appearance_of(settings: Settings) -> Model | None:

@@ -246,3 +246,70 @@ def test_a_settings_file_may_change_how_surveyed_heights_are_judged(tmp_path: Pa
     assert call(["hazards", str(dem), "--sigma", "0.01", "--settings", str(file), "--out", str(out)]) == 0
     stored = json.loads((out / "run.json").read_text())["settings"]["tuning"]["hazards"]
     assert (stored["smoothed"], stored["tilt_sigma"], stored["noise_length"]) == (True, 0.01, 0.4)
+
+
+def zones_file(path: Path, *zones: tuple[dict[str, object], list[tuple[float, float]]]) -> Path:
+    """Write zones, each with its properties and its corners in metres of the plane of `written_raster`."""
+    features = []
+    for properties, corners in zones:
+        ring = [
+            list(at)
+            for at in zip(*transform(CRS.from_epsg(32610), "EPSG:4326", *zip(*corners, strict=True)), strict=True)
+        ]
+        place = {"type": "Polygon", "coordinates": [ring]}
+        features.append({"type": "Feature", "properties": properties, "geometry": place})
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    return path
+
+
+WEST = [(549990.0, 4179980.0), (550004.0, 4179980.0), (550004.0, 4180010.0), (549990.0, 4180010.0)]
+
+
+def test_zones_refuse_ground_in_all_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dem, out = write(tmp_path / "dem.tif", rock((81, 161))), tmp_path / "out"
+    zones = zones_file(tmp_path / "zones.geojson", ({"alight": "keep-out", "name": "farm", "reason": "crops"}, WEST))
+    options = ["--sigma", "0.01", "--zones", str(zones), "--set", "lander.radius=1", "--out", str(out)]
+    assert call(["hazards", str(dem), *options]) == 0
+    assert "ZONES  zones.geojson: 1 keep-out" in capsys.readouterr().out
+    with rasterio.open(out / "reasons.tif") as why:
+        zone = (why.read(1) & Hazard.ZONE) != 0
+        assert why.tags(1)["bit_10"] == "zone: refused by a zone"
+    assert zone[:, :48].all()  # 4 m, and the lander's radius beyond
+    assert not zone[:, 52:].any()
+    sites = json.loads((out / "sites.geojson").read_text())["features"]
+    for p in (s["properties"] for s in sites):
+        assert p["zone"] == "keep-out zone farm (crops)"
+        assert p["zone_m"] == pytest.approx(p["east_m"] - 550004.0, abs=0.02)
+        assert p["zone_deg"] == pytest.approx(270.0, abs=0.5)
+    assert sites
+    assert "keep-out zone farm (crops)" in (out / "report.html").read_text()
+    named = alight.judge(dem, sigma=0.01, zones=zones, settings={"lander.radius": 1.0}).sites
+    assert [s.zone for s in named] == [
+        s.zone for s in alight.judge(dem, sigma=0.01, zones=str(zones), lander=alight.Lander(radius=1.0)).sites
+    ]
+
+
+def test_where_zones_leave_nothing_the_reason_names_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dem = write(tmp_path / "dem.tif", rock((81, 81)))
+    zones = zones_file(tmp_path / "z.geojson", ({"alight": "landing", "name": "pad"}, [(x - 50, y) for x, y in WEST]))
+    assert call(["hazards", str(dem), "--sigma", "0.01", "--zones", str(zones), "--out", str(tmp_path / "out")]) == 0
+    assert "100 % is refused by a zone (outside landing zone pad)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("properties", "plane", "words"),
+    [
+        ({"alight": "no-fly", "name": "farm"}, "EPSG:32610", 'polygon "farm" (feature 1): alight: "no-fly"'),
+        ({"alight": "keep-out", "name": "farm"}, None, "is for heights with a place on Earth"),
+    ],
+)
+def test_zones_that_cannot_be_used_end_before_any_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], properties: dict[str, object], plane: str | None, words: str
+) -> None:
+    dem = write(tmp_path / "dem.tif", rock(), crs=plane)
+    zones = zones_file(tmp_path / "zones.geojson", (properties, WEST))
+    assert call(["hazards", str(dem), "--sigma", "0.01", "--zones", str(zones), "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert "Traceback" not in err
+    assert len(err.strip().splitlines()) == 1

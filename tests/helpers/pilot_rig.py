@@ -17,7 +17,7 @@ from alight.flight.session.take_off import TakeOff
 from alight.geometry import Pose
 from alight.pipeline import FlightPolicy
 from alight.pipeline.navigation import Navigation
-from alight.records import Frame, Motion, MotionState
+from alight.records import NO_ZONES, Frame, Motion, MotionState
 from alight.records.executive import FlightEvent, FlightState, LookRecord, MapVerdict, Order, Situation, Transition
 from alight.records.telemetry import FirmwareName
 from alight.settings import load_settings
@@ -65,6 +65,7 @@ class PilotRig(Rig, LandingLog):
         super().__init__(dialect, step=step, estimate=EstimateError(WRONG), **more)
         self.see, self.settings = see, load_settings("", ["executive.search_side=60", *settings])
         self._pilot: LandingPilot | None = None
+        self.zones = NO_ZONES
         self.policy, self.judges = FlightPolicy(every=0), True  # False: no verdict comes
         self.pictures, self.positions = True, True
         self.frame_id, self.motion_state = 0, MotionState.GOOD
@@ -107,7 +108,9 @@ class PilotRig(Rig, LandingLog):
 
     def begin(self, commands: VehicleCommands | None = None, flying: bool = False) -> None:
         """Begin the landing."""
-        self._pilot = LandingPilot(self.settings, LOCAL, self.vehicle, commands or self.vehicle, self.policy, self)
+        self._pilot = LandingPilot(
+            self.settings, LOCAL, self.vehicle, commands or self.vehicle, self.policy, self, self.zones
+        )
         self._expose()
         self.run(1.0)
         self._begun = self.t

@@ -36,6 +36,7 @@ class FlightOptions(options.RouteOptions):
         Path | None,
         typer.Option(metavar="FILE", help="Passphrase of MAVLink 2 signing; unsigned messages are dropped."),
     ] = None
+    zones: options.Zones = None
     record: Annotated[
         bool, typer.Option("--record/--no-record", help="Record everything that comes in, and what is done, as MCAP.")
     ] = True
@@ -91,7 +92,7 @@ def live(o: LiveOptions) -> None:
     from alight.flight.live.run import LiveRequest, fly_live
     from alight.records import InputError
     from alight.runner.opening import open_live
-    from alight.runs import flown_home, wanted_home, with_home
+    from alight.runs import flown_home, wanted_home, with_home, zones_of
 
     wanted = wanted_home(o.home, o.geoid)
     if o.signing_key is not None and o.telemetry is None:
@@ -103,9 +104,10 @@ def live(o: LiveOptions) -> None:
 
         key = None if o.signing_key is None else read_signing_key(o.signing_key)
         opened = with_telemetry(opened, o.telemetry, o.separation, key)
+    zones = zones_of(opened.source, chosen, o.zones)
     compile_if_cold()  # a lane cannot answer while it compiles
-    inputs = [path] if (path := Path(o.source)).is_file() else []
-    request = LiveRequest(o.out, chosen, o.record, opened.real_time, o.force, inputs)
+    inputs = [path for path in (Path(o.source), o.zones) if path is not None and path.is_file()]
+    request = LiveRequest(o.out, chosen, o.record, opened.real_time, o.force, inputs, zones)
     with live_table() as show:
         result = fly_live(opened.source, opened.events, request, lambda line: show((), [line]))
     save_result(with_home(result, flown_home(wanted, opened.telemetry(), o.separation)), o.out, o.force)
@@ -154,10 +156,12 @@ def fly(o: FlyOptions) -> None:
     from alight.outputs.reading import read_sites
     from alight.records.executive import FlightState
     from alight.runs import wanted_home
+    from alight.sources.zones import read_zones
 
     request = FlightRequest(
         o.link, o.camera, o.out, chosen, o.rig, o.dry_run, wanted_home(o.home, o.geoid), o.separation, o.take_off,
         o.imu, o.signing_key, o.record, o.force, () if o.sites is None else read_sites(o.sites),
+        None if o.zones is None else read_zones(o.zones),
     )  # fmt: skip
     outcome = _flown(request)
     for check in outcome.checks:

@@ -55,6 +55,10 @@ Places = Annotated[
 ]
 
 
+Zones = Annotated[
+    Path | None,
+    typer.Option("--zones", metavar="FILE", help="GeoJSON of zones: where to land never, only or rather."),
+]
 Topic = Annotated[
     list[str] | None,
     typer.Option("--topic", metavar="ROLE=TOPIC", help="Topic of a ROS bag for left, right, position, attitude, ..."),

@@ -44,6 +44,7 @@ class RunOptions(options.RouteOptions):
         Path | None, typer.Option(metavar="DEM", help="Heights from elsewhere: to begin with and to compare with.")
     ] = None
     places: options.Places = None
+    zones: options.Zones = None
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with an interrupted run of the same photos and settings in OUT.")
     ] = False
@@ -63,8 +64,9 @@ def run(o: RunOptions) -> None:
     armed_at = known_home(o.home, o.geoid if o.home else None)
     topics = options.named_topics(o.topic, o.topics)
     wishes = replay.Find(
-        chosen, o.poses, o.force, o.resume, o.prior_dem, o.scheduler, armed_at, o.places, o.geoid, topics
-    )
+        chosen, o.poses, o.force, o.resume, o.prior_dem, o.scheduler, armed_at, o.places, o.geoid, topics,
+        o.zones,
+    )  # fmt: skip
     with progress_bar() as report:
         result = replay.find(o.source, o.out, wishes, report)
     save_result(result, o.out, o.force)
@@ -184,6 +186,7 @@ class HazardsOptions(options.ResultOptions):
             metavar="I.tif", help="The same ground seen from above; two or more pixels a cell make the heights finer."
         ),
     ] = None
+    zones: options.Zones = None
     lander: Annotated[
         Path | None, typer.Option(metavar="lander.yaml", help="Keys of the lander, as under 'lander' in the settings.")
     ] = None
@@ -199,10 +202,10 @@ def judge_raster(o: HazardsOptions) -> None:
 
     chosen = judge.for_surveyed_heights(o.read_settings(before=_lander(o.lander) if o.lander else ()))
     ground = read_ground(o.dem, o.sigma, o.image, chosen.hazards.usual_sigma)
-    prepare_folder(o.out, o.force, ground.files)
+    prepare_folder(o.out, o.force, [*ground.files, *([o.zones] if o.zones else [])])
     with progress_bar() as report:
         report("judging", 0.0)
-        judged = judge.judge_ground(ground, chosen, o.dem.name)
+        judged = judge.judge_ground(ground, chosen, o.dem.name, o.zones)
         report("judging", 1.0)
     result, plane = judged.record, ground.plane
     assert result.hazards is not None
@@ -216,7 +219,7 @@ def judge_raster(o: HazardsOptions) -> None:
     for w in result.warnings:
         print_stderr(f"warning: {w}")
     print_answer(result.sites, place, f", {share:.1f} % is safe")
-    for name in ("heights", "ground"):
+    for name in ("heights", "ground", "zones"):
         if name in result.notes:
             print_line(f"{name.upper()}  {result.notes[name]}")
     judged.save(o.out, o.force)

@@ -143,9 +143,10 @@ def _numbers(site: Site, place: Callable[[Sequence[float]], str]) -> str:
     from alight.records import p_safe_text
 
     name, but = ("P(safe)", "") if math.isfinite(site.p_ground) else ("P(shape)", ", ground not judged")
+    zone = f"  in {site.avoid}" if site.avoid else ""
     return (
         f"{place([site.east, site.north, site.up])}  slope {math.degrees(site.slope):.1f} deg  "
-        f"rough {site.roughness:.2f} m  clear {site.clearance:.1f} m  {name} {p_safe_text(site.p_safe)}{but}"
+        f"rough {site.roughness:.2f} m  clear {site.clearance:.1f} m  {name} {p_safe_text(site.p_safe)}{but}{zone}"
     )
 
 
@@ -166,8 +167,9 @@ def print_result(result: RunResult, answer: bool = True) -> None:
     if isinstance(found := result.notes.get("log"), list):
         for line in found:
             print_line(f"LOG  {line}")
-    if "prior_dem" in result.notes:
-        print_line(f"PRIOR DEM  {result.notes['prior_dem']}")
+    for name in ("prior_dem", "zones"):
+        if name in result.notes:
+            print_line(f"{name.replace('_', ' ').upper()}  {result.notes[name]}")
 
 
 def save_result(result: RunResult, out: Path, force: bool, answer: bool = True, same_as: Path | None = None) -> None:

@@ -69,5 +69,5 @@ def _refusal(hazards: HazardMap, site: Site) -> str | None:
     row, col = (int(np.rint(v)) for v in hazards.grid.index(np.array(site.east), np.array(site.north)))
     if not (0 <= row < hazards.grid.rows and 0 <= col < hazards.grid.cols):
         return None
-    reasons = Hazard(int(hazards.reasons[row, col])) & ~(Hazard.EDGE | Hazard.UNKNOWN)
-    return ", ".join(REASON_WORDS[bit] for bit in reasons) or None
+    unseen = Hazard.EDGE | Hazard.UNKNOWN
+    return hazards.words({bit: words for bit, words in REASON_WORDS.items() if bit not in unseen}, row, col) or None

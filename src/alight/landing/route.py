@@ -14,6 +14,7 @@ import numpy as np
 from alight.arrays import F64, Mask
 from alight.geometry import Grid
 from alight.landing.wind import ground_speed, is_from_behind
+from alight.landing.zones import MapZones
 from alight.raster import block_quantile, upsample
 from alight.records import ElevationMap, Route, Site, Waypoint, Wire, is_measured, nearest_wire
 from alight.records.wires import BEYOND
@@ -222,8 +223,9 @@ def _timed(
 
 
 def plan_route(
-    site: Site, elevation: ElevationMap, vehicle_position: F64, settings: RouteSettings, wires: Sequence[Wire] = ()
-) -> Route:
+    site: Site, elevation: ElevationMap, vehicle_position: F64, settings: RouteSettings, wires: Sequence[Wire] = (),
+    zones: MapZones | None = None,
+) -> Route:  # fmt: skip
     """Plan the route to a point above the site and straight down, clear of all mapped obstacles up to that point.
 
     Args:
@@ -233,6 +235,7 @@ def plan_route(
         settings: heights, speeds, clearance above and beside the path, and the wind if it is known. The air speed stays
             within `air_speed`, and no transit descends in a tail wind.
         wires: wires over the ground.
+        zones: zones; none is crossed lower than its floor above the highest thing on the way, on the map or beyond it.
 
     Returns:
         The way-points from the vehicle's position to the touchdown, with speed towards each and time at it. Warnings
@@ -244,6 +247,12 @@ def plan_route(
     wind = None if settings.wind is None else np.array(settings.wind, np.float64)
     heights = _heights(start, site, way, settings, wind)
     warnings = []
+    if zones is not None and (crossed := zones.crossed(start[:2], np.array([site.east, site.north]))):
+        floor = max(z.floor for z in crossed)
+        level = floor + (way.ceiling if way.unknown else float(way.top.max()))
+        if min(heights) < level:
+            heights = max(heights[0], level), max(heights[0], level)
+        warnings.append(f"the way to the site crosses {', '.join(z.label for z in crossed)} from {floor:g} m up")
     if way.unknown:
         warnings.append("the way to the site crosses ground that is not mapped: flown above the highest thing known")
     if heights[0] > start[2] + 0.05:

@@ -35,6 +35,8 @@ REASON_WORDS = {
     Hazard.TERRAIN: "is covered by what cannot be landed on (water, plants, structures)",
     Hazard.TRAFFIC: "is where something moved a moment ago",
     Hazard.WIRE: "lies under a wire",
+    Hazard.ZONE: "is refused by a zone",
+    Hazard.AVOID: "is in a zone to be avoided",
     Hazard.UNKNOWN: "has unknown ground within the footprint",
     Hazard.EDGE: "is too near to the map's edge",
     Hazard.DOUBT: "meets every limit, but not surely enough",
@@ -99,13 +101,16 @@ class _Choice:
             vehicle = self.observer.position
             distance = np.hypot(east[None, :] - vehicle[0], north[:, None] - vehicle[1])
             score -= settings.distance_weight * distance
-        return np.where(allowed, score, -np.inf)
+        score = np.where(allowed, score, -np.inf)
+        if hazards.preferred is not None and allowed.any():
+            score[hazards.preferred] += np.ptp(score[allowed]) + 1.0  # above all others
+        return score
 
-    def candidate_score(self, clearance: F32) -> F64:
+    def candidate_score(self, allowed: Mask, clearance: F32) -> F64:
         """Compute the score of candidates (G11a), (R, C): mean P(safe) in steps, then score of a site; else -inf."""
         hazards, step = self.hazards, self.settings.chance_step
         chance = disc_mean(np.nan_to_num(hazards.p_safe), self.settings.margin, hazards.grid.cell)
-        score = self.score(hazards.reasons == np.uint16(Hazard.DOUBT), clearance)
+        score = self.score(allowed, clearance)
         best = float(score.max(initial=-np.inf))
         if not np.isfinite(best):
             return score
@@ -123,6 +128,10 @@ class _Choice:
             "wires": 1.0 if hazards.p_wires is None else float(hazards.p_wires[at]),
         }
         doubt: Doubt = min(factors, key=lambda k: np.nan_to_num(factors[k], nan=1.0))
+        reasons, avoid = Hazard(int(hazards.reasons[at])), ""
+        if Hazard.AVOID in reasons and hazards.zone is not None:
+            avoid = hazards.zone_labels[hazards.zone[at] - 1]
+            doubt = doubt if Hazard.DOUBT in reasons else "zone"
         look = None
         if candidate and self.observer is not None:
             place, settles_at = np.array([east, north, up]), float(hazards.settles_at[at])
@@ -134,7 +143,8 @@ class _Choice:
             slope=float(hazards.slope[at]), roughness=float(hazards.roughness[at]), clearance=room,
             radius=self.lander.radius + room,
             terrain=self._landing_class(east, north), heading=_heading(east, north, self.observer),
-            doubt=doubt if candidate else None, look=look,
+            doubt=doubt if candidate else None, look=look, avoid=avoid,
+            preferred=hazards.preferred is not None and bool(hazards.preferred[at]),
         )  # fmt: skip
 
     def _height_at(self, east: float, north: float) -> tuple[float, float]:
@@ -208,7 +218,8 @@ def choose_sites(
 ) -> Sites:
     """Rank the sites, then the candidates: cells that no limit refuses, with P(safe) below the limit.
 
-    The best site comes first; the other sites are held in reserve. A candidate is worth another look.
+    The best site comes first; the other sites are held in reserve. A candidate is worth another look. Cells that are to
+    be avoided (`Hazard.AVOID`) are the last candidates, or the sites if there is neither.
 
     Args:
         hazards: reasons against a touchdown, P(safe) with its factors, quality and clearance of every cell.
@@ -223,11 +234,20 @@ def choose_sites(
     """
     c = _Choice(hazards, land_cover, elevation, settings, lander, observer)
     apart, grid = separation(settings, lander), hazards.grid
-    safe = _peaks(c.score(hazards.reasons == 0, hazards.clearance), grid, settings.count, apart, [])
+    doubt, avoid = np.uint16(Hazard.DOUBT), np.uint16(Hazard.AVOID)
     # a candidate's clearance is the distance to refused cells; undecided cells do not reduce it
-    room = clearance_of((hazards.reasons & ~np.uint16(Hazard.DOUBT)) == 0, grid.cell)
-    undecided = _spread(c.candidate_score(room), hazards, settings.count - len(safe), apart, safe)
-    sites = tuple(c.place(i + 1, at, hazards.clearance, False) for i, at in enumerate(safe))
+    room, clearance = clearance_of((hazards.reasons & ~(doubt | avoid)) == 0, grid.cell), hazards.clearance
+    safe = _peaks(c.score(hazards.reasons == 0, clearance), grid, settings.count, apart, [])
+    undecided = _spread(
+        c.candidate_score(hazards.reasons == doubt, room), hazards, settings.count - len(safe), apart, safe
+    )
+    if hazards.zone is not None:
+        if not safe and not undecided:
+            clearance = clearance_of((hazards.reasons & ~avoid) == 0, grid.cell)
+            safe = _peaks(c.score(hazards.reasons == avoid, clearance), grid, settings.count, apart, [])
+        left, avoided = settings.count - len(safe) - len(undecided), (hazards.reasons & ~doubt) == avoid
+        undecided += _spread(c.candidate_score(avoided, room), hazards, left, apart, [*safe, *undecided])
+    sites = tuple(c.place(i + 1, at, clearance, False) for i, at in enumerate(safe))
     candidates = tuple(c.place(len(safe) + i + 1, at, room, True) for i, at in enumerate(undecided))
     reason = "" if sites else why_no_site(hazards, elevation, settings, lander)
     return Sites(sites, reason, candidates=candidates, ground_judged=land_cover is not None)
@@ -249,6 +269,16 @@ def why_no_site(hazards: HazardMap, elevation: ElevationMap, settings: SitesSett
         )
     shares = {bit: float(((hazards.reasons[seen] & bit) != 0).mean()) for bit in REASON_WORDS}
     ranked = sorted((s, b) for b, s in shares.items() if s >= 0.005)[::-1]
-    parts = [f"{100 * share:.0f} % {REASON_WORDS[bit]}" for share, bit in ranked]
+    parts = [f"{100 * share:.0f} % {REASON_WORDS[bit]}{_zones_of(bit, hazards)}" for share, bit in ranked]
     too_wide = f"; cells of {cell:g} m are wider than the radius of {lander.radius:g} m, so no plane fits"
     return "no safe site: of the seen ground " + ", ".join(parts) + (too_wide if lander.radius < cell else "")
+
+
+def _zones_of(bit: Hazard, hazards: HazardMap, most: int = 3) -> str:
+    """Return the names of the zones behind a reason of refusal, the largest first, in brackets; else empty."""
+    if bit not in (Hazard.ZONE, Hazard.AVOID) or hazards.zone is None:
+        return ""
+    counts = np.bincount(hazards.zone[(hazards.reasons & bit) != 0], minlength=len(hazards.zone_labels) + 1)[1:]
+    largest = [hazards.zone_labels[k] for k in np.argsort(-counts, kind="stable") if counts[k]]
+    more = f", {len(largest) - most} more" if len(largest) > most else ""
+    return f" ({', '.join(largest[:most])}{more})"

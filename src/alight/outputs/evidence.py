@@ -13,6 +13,7 @@ from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
@@ -26,7 +27,7 @@ from alight.settings import settings_of_run
 EVIDENCE = "evidence.npz"
 _DAMAGED = (
     OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError, RecursionError, EOFError,
-    MemoryError, zipfile.BadZipFile, NotImplementedError,
+    MemoryError, zipfile.BadZipFile, NotImplementedError, shapely.GEOSException,
 )  # fmt: skip
 
 
@@ -42,6 +43,8 @@ class _Members:
             return value.model_dump(mode="json")
         if is_dataclass(value) and not isinstance(value, type):
             return {f.name: self.tree_of(getattr(value, f.name)) for f in fields(value) if f.init}
+        if isinstance(value, shapely.Geometry):
+            return shapely.to_wkb(value, hex=True)
         if isinstance(value, np.ndarray):
             shown = {"dtype": value.dtype.str, "shape": value.shape}
             if value.dtype == np.float64:  # poses and covariances
@@ -71,6 +74,8 @@ class _Members:
             return None if tree is None else self.value_of(kinds[0], tree)
         if origin is np.ndarray:
             return self._array(tree)
+        if kind is shapely.Geometry:
+            return shapely.from_wkb(tree)
         if origin is Literal or kind is object:
             return tree
         if origin is tuple:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from alight.elevation import doublings_up_to
+from alight.landing.zones import MapZones
 from alight.pipeline.judging import judge_evidence, quality_note
 from alight.pipeline.lanes import with_verdict
 from alight.pipeline.mapping.ground_map import QUALITY, nice_cell
@@ -58,11 +59,12 @@ def judge_again(result: RunResult, settings: Settings, clock: Clock = lambda: 0.
     evidence, stages, timings = result.evidence, settings.stages(), Timings(clock)
     if evidence is None:
         raise InputError(f"{result.source_name}: the run has no map to judge; {result.sites.reason or 'run again'}")
-    verdict = judge_evidence(evidence, stages, timings)
+    zones = MapZones(result.zones, stages.lander.reach) if result.zones.zones else None
+    verdict = judge_evidence(evidence, stages, timings, zones)
     notes = {k: v for k, v in result.notes.items() if k not in OF_EARLIER_MAPS}
     notes |= quality_note(verdict.hazards, stages)
     again = replace(result, settings=settings, notes=notes, timings=timings.stages, not_written={})
-    again = with_verdict(again, verdict, evidence, stages.route)
+    again = with_verdict(again, verdict, evidence, stages.route, zones)
     why = _other_cells(result, settings)
     return replace(again, warnings=[*result.warnings, why]) if why else again
 

@@ -11,6 +11,7 @@ from alight import hazards, memory, terrain
 from alight.elevation import on_cells_up_to
 from alight.landing import sites
 from alight.landing.reserve import Reserve
+from alight.landing.zones import MapZones
 from alight.parallax.orthophoto import orthophoto
 from alight.parallax.wires.find import find_wires
 from alight.pipeline.mapping import MapSnapshot
@@ -147,6 +148,7 @@ class JudgingLane:
     Args:
         appearance: appearance model; None: land cover from the evidence of the map itself only.
         memory: memory of the lane that this one replaces.
+        zones: the user's zones in the world; None: there are none.
     """
 
     def __init__(
@@ -155,8 +157,9 @@ class JudgingLane:
         appearance: terrain.Model | None,
         timings: Timings,
         memory: JudgingMemory = JudgingMemory(),
+        zones: MapZones | None = None,
     ) -> None:
-        self._settings, self._appearance, self._timings = settings, appearance, timings
+        self._settings, self._appearance, self._timings, self._zones = settings, appearance, timings, zones
         self.memory = memory
 
     def judge(self, seen: MapSnapshot) -> Verdict:
@@ -168,7 +171,7 @@ class JudgingLane:
         s, frame = self._settings, seen.frame
         self._follow(frame)
         evidence = self._evidence(seen)
-        found = judge_evidence(evidence, s, self._timings)
+        found = judge_evidence(evidence, s, self._timings, self._zones)
         apart = sites.separation(s.sites, s.lander)
         self.memory = self.memory.with_reserve(self.memory.kept.updated(found.sites, found.hazards, apart), frame)
         return replace(found, evidence=evidence)
@@ -253,8 +256,10 @@ def _tidy(elevation: ElevationMap) -> None:
         memory.give_back()
 
 
-def judge_evidence(evidence: MapEvidence, settings: StageSettings, timings: Timings) -> Verdict:
-    """Return the verdict on the evidence of a map, for the lander and the limits of the settings.
+def judge_evidence(
+    evidence: MapEvidence, settings: StageSettings, timings: Timings, zones: MapZones | None = None
+) -> Verdict:
+    """Return the verdict on the evidence of a map, for the lander and the limits of the settings, and for zones.
 
     If the lander is judged on cells of another size than the evidence has, the evidence is resampled.
     """
@@ -269,7 +274,10 @@ def judge_evidence(evidence: MapEvidence, settings: StageSettings, timings: Timi
         )
     _tidy(elevation)
     with timings.of("sites"):
+        at = evidence.frame.offset_world[:2]
+        found = found if zones is None else zones.judged(found, at)
         chosen = sites.choose_sites(found, land_cover, elevation, settings.sites, lander, evidence.observer)
+        chosen = chosen if zones is None else zones.named(chosen, at)
     mapped = without_water(evidence.elevation, land_cover)
     return Verdict(mapped, land_cover, found, chosen, evidence.frame, evidence.missing)
 

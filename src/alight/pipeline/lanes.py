@@ -11,12 +11,13 @@ from alight import terrain
 from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
 from alight.landing.route import plan_route
+from alight.landing.zones import MapZones
 from alight.pipeline.judging import JudgingLane, Verdict, reserve_notes
 from alight.pipeline.mapping import MappingLane
 from alight.pipeline.navigation import NavigationLane, TimedPoses
 from alight.pipeline.policy import FlightPolicy
 from alight.pipeline.timing import Clock, StageProgress, Timings, unreported
-from alight.records import Decision, MapEvidence, PriorHeights, Rig, SettingsError, Sites
+from alight.records import NO_ZONES, Decision, MapEvidence, PriorHeights, Rig, SettingsError, Sites
 from alight.settings import ImuNoise, RouteSettings, StageSettings
 
 
@@ -28,6 +29,7 @@ class PipelineOptions:
     navigation: NavigationLane | None = None  # replaces the lane that the settings choose
     appearance: terrain.Model | None = None  # None: land cover without an appearance model
     imu: ImuNoise | None = None  # noise of the recording's IMU
+    zones: MapZones | None = None  # zones of the user, in the world
     prior: PriorHeights | None = None  # external DEM that narrows the height search of the batch map
     policy: FlightPolicy | None = None  # None: `FlightPolicy` with `sites.every`
     on_verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None  # gets the time of the exposure, too
@@ -75,15 +77,16 @@ def mapping_lane(
 
 def conclude(
     navigation: NavigationLane, mapping: MappingLane, judging: JudgingLane, settings: StageSettings, timings: Timings,
-    progress: StageProgress = unreported,
+    progress: StageProgress = unreported, zones: MapZones | None = None,
 ) -> Decision:  # fmt: skip
     """Finish all lanes: refine the motion, build and judge the map; return the decision, in the world frame."""
+    given = {} if zones is None else {"zones": zones.plane.note}
     with timings.of("motion, all frames together"):
         trajectory = navigation.finish(partial(progress, "motion"))
-    warnings = list(trajectory.warnings)
+    warnings = [*(zones.plane.warnings if zones else ()), *trajectory.warnings]
     moved = Decision(
-        sites=Sites((), trajectory.reason), motions=trajectory.motions, notes=trajectory.notes, warnings=warnings,
-        outcomes=trajectory.photos,
+        sites=Sites((), trajectory.reason), motions=trajectory.motions, notes={**given, **trajectory.notes},
+        warnings=warnings, outcomes=trajectory.photos, zones=zones.plane if zones else NO_ZONES,
     )  # fmt: skip
     if not trajectory.usable:
         return moved
@@ -91,7 +94,7 @@ def conclude(
     warnings += found.warnings
     if found.snapshot is None:
         warnings += judging.memory.warnings
-        notes = {**trajectory.notes, **reserve_notes(judging.memory.reserve.sites)}
+        notes = {**moved.notes, **reserve_notes(judging.memory.reserve.sites)}
         return replace(moved, sites=Sites((), found.reason), notes=notes)
     progress("judging", 0.2)
     seen = found.snapshot
@@ -102,10 +105,10 @@ def conclude(
     evidence = replace(verdict.evidence, distrust=trajectory.distrust)
     decision = replace(
         moved, evidence=evidence, height_above_ground=evidence.height_above_ground,
-        notes={**trajectory.notes, **found.notes, **judging.notes(replace(verdict, evidence=None))},
+        notes={**moved.notes, **found.notes, **judging.notes(replace(verdict, evidence=None))},
         warnings=[*warnings, *judging.memory.warnings, *verdict.warnings],
     )  # fmt: skip
-    decision = with_verdict(decision, verdict, evidence, settings.route)
+    decision = with_verdict(decision, verdict, evidence, settings.route, zones)
     progress("judging", 1.0)
     return decision
 
@@ -113,13 +116,15 @@ def conclude(
 Decided = TypeVar("Decided", bound=Decision)
 
 
-def with_verdict(decision: Decided, verdict: Verdict, evidence: MapEvidence, settings: RouteSettings) -> Decided:
+def with_verdict(
+    decision: Decided, verdict: Verdict, evidence: MapEvidence, settings: RouteSettings, zones: MapZones | None = None
+) -> Decided:
     """Return the decision with a verdict and the route to its best site, in the world frame."""
     world, frame = verdict.in_world(), evidence.frame
     sites, route = replace(world.sites, reason=evidence.distrust or world.sites.reason), None
     if sites.sites:
         vehicle, elevation = frame.point(evidence.vehicle), frame.elevation(evidence.elevation)
-        route = plan_route(sites.sites[0], elevation, vehicle, settings, world.hazards.wires)
+        route = plan_route(sites.sites[0], elevation, vehicle, settings, world.hazards.wires, zones)
         route = replace(route, frame_id=frame.frame_id)
     return replace(
         decision, sites=sites, elevation=world.elevation, terrain=world.land_cover, hazards=world.hazards, route=route

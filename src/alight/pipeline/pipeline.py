@@ -35,12 +35,13 @@ class Pipeline:
     ) -> None:
         options = options or PipelineOptions()
         self._settings = stages = (settings or Settings()).stages(options.imu)
+        self._zones = options.zones
         self._timings, self._on_verdict = Timings(options.clock, options.history), options.on_verdict
         self._policy = options.policy or FlightPolicy(stages.sites.every)
         self._navigation = navigation_lane(rig, kind, stages, options)
         at_end = options.poses is None and stages.motion.bundles(kind)
         self._mapping = mapping_lane(rig, stages, options, self._timings, at_end)
-        self._judging = JudgingLane(stages, options.appearance, self._timings)
+        self._judging = JudgingLane(stages, options.appearance, self._timings, zones=options.zones)
 
     def feed(self, event: Event) -> Motion | None:
         """Process one event; return the motion of an exposure if it is known at once, else None."""
@@ -80,4 +81,6 @@ class Pipeline:
 
     def finish(self, progress: StageProgress = unreported) -> Decision:
         """Refine the motion, build and judge the map, and return the decision, with all results in the world."""
-        return conclude(self._navigation, self._mapping, self._judging, self._settings, self._timings, progress)
+        return conclude(
+            self._navigation, self._mapping, self._judging, self._settings, self._timings, progress, self._zones
+        )

@@ -23,6 +23,7 @@ from alight.records.landing import (
     Hazard,
     HazardMap,
     Kind,
+    NearZone,
     NextView,
     Observer,
     Route,
@@ -70,3 +71,4 @@ from alight.records.telemetry import (
     is_absolute,
 )
 from alight.records.wires import Wire, nearest_wire
+from alight.records.zones import NO_ZONES, GroundZone, Zones, ZonesOnPlane

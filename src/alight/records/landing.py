@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntFlag
 from typing import ClassVar, Literal
@@ -13,7 +14,7 @@ from alight.records.surface import OnGrid, Terrain
 from alight.records.wires import Wire
 
 Kind = Literal["site", "candidate"]
-Doubt = Literal["relief", "obstacle", "ground", "wires"]  # the factors of P(safe)
+Doubt = Literal["relief", "obstacle", "ground", "wires", "zone"]  # the factors of P(safe); a zone to be avoided
 
 
 class Hazard(IntFlag):
@@ -29,6 +30,8 @@ class Hazard(IntFlag):
     DOUBT = 128  # every limit is met, but P(safe) is below the limit
     TRAFFIC = 256  # a moving object crossed or passed the cell recently
     WIRE = 512  # a wire hangs over the footprint or beside it
+    ZONE = 1024  # in a keep-out zone, or outside the landing or search zones
+    AVOID = 2048  # in a zone to be avoided: a site only where there is no other site or candidate
 
 
 def is_site(p_safe: F32, least: float) -> Mask:
@@ -74,6 +77,17 @@ class HazardMap(OnGrid):
     reasons: U16  # (R, C) bits of Hazard; 0 = safe
     p_wires: F32 | None = None  # (R, C) probability that no doubtful line is a wire over it; None: 1
     wires: tuple[Wire, ...] = ()  # wires over the ground, found and doubtful
+    zone: U16 | None = None  # (R, C) position in `zone_labels`, from 1, where `reasons` has ZONE or AVOID
+    zone_labels: tuple[str, ...] = ()
+    preferred: Mask | None = None  # (R, C) in a zone whose sites rank higher; None: nowhere
+
+    def words(self, words: Mapping[Hazard, str], row: int, col: int) -> str:
+        """Return the reasons of a cell in words, with the zone's name; empty: there is none."""
+        reasons = Hazard(int(self.reasons[row, col]))
+        out = ", ".join(words[bit] for bit in reasons if bit in words)
+        if reasons & (Hazard.ZONE | Hazard.AVOID) and self.zone is not None:
+            out += f" ({self.zone_labels[self.zone[row, col] - 1]})"
+        return out
 
 
 @dataclass(frozen=True)
@@ -103,6 +117,15 @@ class Observer:
 
 
 @dataclass(frozen=True)
+class NearZone:
+    """The zone nearest to a site."""
+
+    label: str  # use, name and reason
+    distance: float  # metres from the site to the zone's border; 0: the site lies in it
+    bearing: float  # rad, clockwise from north, from the site; NaN: the site lies in it
+
+
+@dataclass(frozen=True)
 class Site:
     """A site, or a candidate that may become one; the properties are those of sites.geojson."""
 
@@ -126,6 +149,9 @@ class Site:
     doubt: Doubt | None = None  # candidate: the smallest factor of P(safe); None: a site
     look: NextView | None = None  # candidate: the next view; None: no view would settle the doubt
     p_wires: float = 1.0
+    zone: NearZone | None = None  # nearest zone; None: there are no zones
+    avoid: str = ""  # zone to be avoided in which it lies; it is a site only where there is no other place
+    preferred: bool = False  # whether it lies in a zone whose sites rank higher
 
     @classmethod
     def unjudged(cls, east: float, north: float, up: float) -> Site:

@@ -136,7 +136,10 @@ function shape(s, map, group) {
   const style = { className: `shape ${s.style}`, weight: 2 };
   const [east, north] = s.coordinates;
   if (s.type === "LineString") L.polyline(s.coordinates.map(([e, n]) => at(e, n)), style).addTo(group).bindTooltip(s.text);
-  else if (s.type === "Polygon") L.polygon(s.coordinates[0].map(([e, n]) => at(e, n)), { ...style, interactive: !!s.text }).addTo(group);
+  else if (s.type === "Polygon") {
+    const area = L.polygon(s.coordinates.map((ring) => ring.map(([e, n]) => at(e, n))), { ...style, interactive: !!s.text }).addTo(group);
+    if (s.text) area.bindTooltip(s.text, { sticky: true });
+  }
   else if (!s.rank) L.circleMarker(at(east, north), { ...style, radius: 5 }).addTo(group).bindTooltip(s.text);
   else {
     const parts = [[s.radius, `under`], [s.radius, s.style + (s.rank === 1 ? " best" : "")]];

@@ -110,13 +110,14 @@ def _place_text(result: RunResult) -> str:
 def cautions(result: RunResult, site: Site) -> tuple[str, ...]:
     """Return the sentences to read before anyone flies to the site."""
     place = _place_sigma(result)
+    avoided = (f"It lies in {site.avoid}: there is no other place.",) if site.avoid and site.kind == "site" else ()
     if place is None or 2.0 * place.horizontal <= site.clearance:
-        return (NO_CLEARANCE,)
+        return (*avoided, NO_CLEARANCE)
     beside = (
         f"Do not fly to the coordinates alone: they are known to ± {words.metres(place.horizontal)} (1-sigma), and the "
         f"nearest hazard is {words.metres(site.clearance)} away."
     )
-    return NO_CLEARANCE, beside
+    return *avoided, NO_CLEARANCE, beside
 
 
 def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
@@ -132,6 +133,7 @@ def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
         ("To the nearest hazard", words.metres(site.clearance)),
         ("Ground", words.ground(site.terrain.name)),
         ("Touch down heading", words.bearing(site.heading)),
+        *([("Nearest zone", words.zone(site.zone))] if site.zone else []),
         ("Height within the map, 1-sigma", f"± {words.metres(site.height_sigma)}"),
         ("Place on Earth, 1-sigma" if result.georeferenced else "Place on Earth", _place_text(result)),
         ("Altitude, WGS84" if result.georeferenced else "Height above the origin", words.altitude(result, site)),
@@ -161,15 +163,16 @@ def _row(result: RunResult, s: Site) -> Row:
         f"{s.quality:.2f}",
         words.place(result, s),
     )
+    zone = f". Nearest zone: {words.zone(s.zone)}" if s.zone else ""
     if s.kind == "site":
-        note = f"{words.factors(s)}; {_score(result, s)}"
+        note = f"{words.factors(s)}; {_score(result, s)}{zone}"
         return Row((*numbers, words.metres(s.radius), words.bearing(s.heading)), note)
     look = ""
     if s.look is not None:
         enough = "" if s.look.settles else "; its pixels are still too coarse to settle the doubt"
         aside = math.hypot(s.look.east - s.east, s.look.north - s.north) > 0.05  # m
         look = f". View: {words.place(result, s.look) if aside else 'straight above'}{enough}"
-    return Row((*numbers, words.doubt(s), words.look_from(s)), words.factors(s) + look)
+    return Row((*numbers, words.doubt(s), words.look_from(s)), words.factors(s) + look + zone)
 
 
 def _score(result: RunResult, s: Site) -> str:

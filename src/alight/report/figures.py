@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from alight.records import ElevationMap, Kind, RunResult
@@ -45,6 +46,18 @@ class Mark:
 
 
 @dataclass(frozen=True)
+class ZoneMark:
+    """A zone on a picture: the SVG path of its border, its use, its label, and its name where there is room."""
+
+    path: str
+    use: str
+    label: str
+    name: str
+    x: float  # of the name, page units
+    y: float
+
+
+@dataclass(frozen=True)
 class Bar:
     """A scale bar."""
 
@@ -64,6 +77,7 @@ class Figure:
     bar: Bar | None = None
     caption: str = ""
     keys: Sequence[Key] = ()
+    zones: Sequence[ZoneMark] = ()
     flown: str = ""  # SVG points of the flight path
     route: str = ""  # SVG points of the route
     classes: Sequence[str] = ()
@@ -89,6 +103,21 @@ def marks(result: RunResult, c: Canvas) -> list[Mark]:
         room = max(radius, s.radius * c.per_metre) if math.isfinite(s.radius) else radius
         out.append(Mark(x, y, round(radius, 2), round(room, 2), s.rank, words.place(result, s), s.kind, look))
     return _aside(out, c)[::-1]
+
+
+def outlines(result: RunResult, c: Canvas) -> list[ZoneMark]:
+    """Return the borders of the zones on a picture; keep-out zones come last, so that they are drawn on top."""
+    out = []
+    for z, area in survey.zone_areas(result, c.grid):
+        area = area.simplify(1.0 / c.per_metre)
+        rings = [r for p in shapely.get_parts(area) if p.area > 0.0 for r in (p.exterior, *p.interiors)]
+        path = " ".join("M" + " L".join("{} {}".format(*c.xy(x, y)) for x, y in ring.coords) + "Z" for ring in rings)
+        if path:
+            x0, _, x1, _ = area.bounds
+            has_room = (x1 - x0) * c.per_metre > 10.0 * len(z.name)
+            x, y = c.xy(*shapely.get_coordinates(area.representative_point())[0])
+            out.append(ZoneMark(path, z.use, z.label, z.name if has_room else "", x, y))
+    return out
 
 
 def _aside(found: list[Mark], c: Canvas) -> list[Mark]:
@@ -121,13 +150,14 @@ def _points(c: Canvas, positions: Sequence[NDArray[np.float64]]) -> str:
     return " ".join("{},{}".format(*c.xy(float(p[0]), float(p[1]))) for p in positions)
 
 
-def _explain(result: RunResult) -> list[str]:
+def _explain(result: RunResult, zones: Sequence[ZoneMark]) -> list[str]:
     lines = []
     if result.sites.sites:
         lines.append("Solid circle: the lander's footprint at a site; dotted: the largest safe disc about it.")
     if result.sites.candidates:
         lines.append("Dashed circle with a square number: a candidate.")
     lines += ["White line: the flight."] if result.motions else []
+    lines += ["Red: keep-out zones; orange: to be avoided; blue: landing, search and preferred zones."] * bool(zones)
     above = "above the home" if result.home else "relative to the site, not to the vehicle's home"
     zero = f" The heights of route.plan are {above}."
     return lines + (["Green dashes: the way to site 1." + zero] if result.route else [])
@@ -135,7 +165,7 @@ def _explain(result: RunResult) -> list[str]:
 
 def overview(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
     """Return the orthophoto with sites, candidates, flight path and route."""
-    sites, candidates = len(result.sites.sites), len(result.sites.candidates)
+    sites, candidates, zones = len(result.sites.sites), len(result.sites.candidates), outlines(result, c)
     shown = f"{words.counted(sites, 'numbered landing site')} and {words.counted(candidates, 'candidate')}"
     return Figure(
         title="The ground from above",
@@ -144,9 +174,10 @@ def overview(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
         height=round(c.height, 1),
         marks=marks(result, c),
         bar=scale_bar(c),
+        zones=zones,
         flown=_points(c, [m.world_from_body.translation for m in result.motions]),
         route=_points(c, [w.position_world for w in result.route.waypoints]) if result.route else "",
-        caption=" ".join(_explain(result)),
+        caption=" ".join(_explain(result, zones)),
         classes=("big",),
     )
 
@@ -167,7 +198,7 @@ def closeups(result: RunResult, elevation: ElevationMap) -> list[Figure]:
         name = f"{place.kind.capitalize()} {place.rank}"
         common: dict[str, Any] = {
             "height": round(c.height, 1), "marks": marks(result, c), "bar": scale_bar(c), "classes": ("near",),
-            "place": place.rank,
+            "zones": outlines(result, c), "place": place.rank,
         }  # fmt: skip
         alt, uri = f"Orthophoto of {name.lower()}", photo(elevation, c, 480)
         first = place is result.sites.listed[0]

@@ -39,6 +39,8 @@ HAZARDS: Mapping[Hazard, Reason] = {  # in order of precedence: the first reason
     Hazard.CLEARANCE: Reason("no room for rotor or belly", "#f0dc4e"),
     Hazard.TRAFFIC: Reason("something moved there", "#6d4fa3"),
     Hazard.WIRE: Reason("under a wire", "#2b2b2b"),
+    Hazard.ZONE: Reason("refused by a zone", "#a3195b"),
+    Hazard.AVOID: Reason("in a zone to be avoided", "#e3a5c4"),
     Hazard.DOUBT: Reason("fits, but not surely enough", "#8fd0c0"),
     Hazard.UNKNOWN: Reason("not seen or not trusted", "#9aa3ad"),
     Hazard.EDGE: Reason("edge of the map", "#545b63"),

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import shapely
 
-from alight.arrays import F64
 from alight.geometry import Grid
 from alight.records import RunResult
 from alight.report import survey, words
@@ -20,7 +20,7 @@ class Shape(NamedTuple):
     layer: str  # title of its layer, which can be switched
     style: str  # class in style.css
     type: str  # LineString, Polygon or Point
-    coordinates: Sequence[Any]
+    coordinates: Sequence[Any]  # of a Polygon: its rings, the outer one first
     text: str = ""
     radius: float = 0.0  # metres, of the circle about a Point
     room: float = 0.0  # metres, of a second, dotted circle about it
@@ -28,7 +28,7 @@ class Shape(NamedTuple):
     hidden: bool = False  # whether its layer is hidden at first
 
 
-def _line(points: Iterable[F64]) -> list[list[float]]:
+def _line(points: Iterable[Iterable[float]]) -> list[list[float]]:
     return [[round(float(v), 2) for v in p] for p in points]
 
 
@@ -37,6 +37,12 @@ def shapes_of(result: RunResult) -> Iterator[Shape]:
     rings = survey.footprints(result)
     for ring in rings[:: math.ceil(len(rings) / 60) or 1]:
         yield Shape("Footprints of the pictures", "footprint", "Polygon", [_line(ring)], hidden=True)
+    areas = [] if result.elevation is None else survey.zone_areas(result, result.elevation.grid)
+    for zone, area in areas:
+        for part in shapely.get_parts(area):
+            if part.area > 0.0:
+                rings = [_line(ring.coords) for ring in (part.exterior, *part.interiors)]
+                yield Shape("Zones", f"zone {zone.use}", "Polygon", rings, zone.label)
     for wire in result.hazards.wires if result.hazards is not None else ():
         text = f"wire, {words.percent(wire.chance)} sure"
         yield Shape("Wires", "wire", "LineString", _line([wire.start, wire.end]), text)

@@ -1,4 +1,4 @@
-"""How the pictures were taken: their footprints and overlap, and the residuals of their GPS positions."""
+"""What lies about the map: footprints and overlap of the pictures, residuals of their GPS positions, and zones."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import shapely
 
 from alight.arrays import F64
+from alight.geometry import Grid
 from alight.records import RunResult
+from alight.records.zones import USES, GroundZone
 from alight.report import words
 
 
@@ -77,3 +80,12 @@ def gps_residuals(result: RunResult) -> Residuals | None:
         return None
     away = np.hypot(*np.array([(p.east, p.north) for p in photos]).T)
     return Residuals(photos, float(away.max()), float(np.sqrt((away**2).mean())))
+
+
+def zone_areas(result: RunResult, grid: Grid) -> list[tuple[GroundZone, shapely.Geometry]]:
+    """Return the zones with their areas on a grid, metres; those to keep out of come last, to be drawn on top."""
+    cell, _, west, _, _, north = grid.transform
+    window = shapely.box(west, north - grid.rows * cell, west + grid.cols * cell, north)
+    zones = sorted(result.zones.zones, key=lambda z: USES[::-1].index(z.use))
+    areas = ((z, z.shape.buffer(z.reach).intersection(window)) for z in zones)
+    return [(z, area) for z, area in areas if not area.is_empty]

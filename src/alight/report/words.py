@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from alight.records import Doubt, NextView, RunResult, Site, p_safe_text
+from alight.records import Doubt, NearZone, NextView, RunResult, Site, p_safe_text
 
 UNKNOWN = "unknown"
 
@@ -16,6 +16,7 @@ DOUBTS: Mapping[Doubt, str] = {
     "obstacle": "unseen obstacles",
     "ground": "kind of ground",
     "wires": "wires",
+    "zone": "a zone to be avoided",
 }
 
 
@@ -47,6 +48,13 @@ def percent(value: float) -> str:
     if 0.9995 < value < 1:
         return "> 99.9 %"
     return f"{value * 100:.0f} %" if value in (0.0, 1.0) else f"{value * 100:.1f} %"
+
+
+def zone(near: NearZone) -> str:
+    """Return the zone nearest to a site, as "keep-out zone farm, 12.3 m, bearing 045°" or "in avoid zone road"."""
+    if near.distance == 0.0:
+        return f"in {near.label}"
+    return f"{near.label}, {metres(near.distance)}, bearing {bearing(near.bearing)}"
 
 
 def chance(probability: float) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -11,13 +12,15 @@ from alight.geometry import LocalFrame
 from alight.hazards import assess
 from alight.hazards.sharpen import sharpen
 from alight.landing.sites import choose_sites
+from alight.landing.zones import MapZones
 from alight.outputs.verdict import write_judgement
 from alight.pipeline.judging import find_land_cover
-from alight.records import ElevationMap, RunResult, TerrainMap
+from alight.records import NO_ZONES, ElevationMap, InputError, RunResult, TerrainMap
 from alight.result import Result
 from alight.runs import appearance_of
 from alight.settings import Settings, StageSettings, load_settings
 from alight.sources.raster import GroundRaster
+from alight.sources.zones import read_zones
 
 # surveyed heights show every obstacle and lie level, unless the user's settings differ
 SURVEYED = ("tuning.hazards.smoothed=false", "tuning.hazards.tilt_sigma=0.003", "tuning.hazards.noise_length=0.4")
@@ -53,11 +56,27 @@ def _land_cover(elevation: ElevationMap, settings: Settings) -> TerrainMap | Non
     return found if found.coloured else None
 
 
-def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Result:
+def _zones(ground: GroundRaster, file: Path | None, reach: float) -> MapZones | None:
+    """Read the zones of a file for the plane of a raster; None: no file is given.
+
+    Raises:
+        InputError: the file cannot be used, or the raster has no place on Earth.
+    """
+    if file is None:
+        return None
+    zones, plane = read_zones(file), ground.plane
+    if plane is None or not plane.reference.on_earth:
+        raise InputError(f"--zones {file}: is for heights with a place on Earth; run it without")
+    return MapZones(zones.on_plane(plane.from_degrees, *plane.middle), reach)
+
+
+def judge_ground(ground: GroundRaster, settings: Settings, name: str, zones: Path | None = None) -> Result:
     """Return P(safe) and reasons of each cell of a height raster, and the landing sites of the lander.
 
-    `name` is the name of the input, for the report. See `for_surveyed_heights` for suitable settings.
+    `name` is the name of the input, for the report; `zones` a file of zones. See `for_surveyed_heights` for suitable
+    settings.
     """
+    limits = _zones(ground, zones, settings.lander.reach)
     warnings, elevation, clock = list(ground.warnings), ground.elevation, [time.perf_counter()]
     if ground.image is not None and ground.image.shape[0] > elevation.grid.rows:
         finer = sharpen(elevation, ground.image, settings.tuning.hazards.sharpen)
@@ -71,14 +90,22 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Result:
     notes |= {"ground": GROUND_UNSEEN} if land_cover is None else {}
     clock.append(time.perf_counter())
     hazards = assess(elevation, land_cover, stages.lander, stages.hazards)
+    if limits is not None:
+        hazards, notes, warnings = (
+            limits.judged(hazards),
+            notes | {"zones": limits.plane.note},
+            [*warnings, *limits.plane.warnings],
+        )
     clock.append(time.perf_counter())
+    sites = choose_sites(hazards, land_cover, elevation, stages.sites, stages.lander)
     result = RunResult(
         source_name=name,
         source_kind="heights",
         local=LocalFrame(0.0, 0.0, 0.0),
         georeferenced=False,  # the page shows the coordinates of the raster's plane
         settings=settings,
-        sites=choose_sites(hazards, land_cover, elevation, stages.sites, stages.lander),
+        sites=sites if limits is None else limits.named(sites),
+        zones=NO_ZONES if limits is None else limits.plane,
         terrain=land_cover,
         elevation=elevation,
         hazards=hazards,

@@ -6,10 +6,9 @@ import logging
 import time
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from alight.elevation import TileStore
 from alight.jobs import InTurn, Jobs
 from alight.outputs import FileStore, is_finished, prepare_folder
 from alight.pipeline import Pipeline, PipelineOptions, ScheduledPolicy, TimedPoses
@@ -17,7 +16,7 @@ from alight.pipeline.navigation import NavigationLane
 from alight.pipeline.timing import StageProgress, unreported, with_whole
 from alight.records import Frame, Home, InputError, PhotoRow, PriorHeights, RunResult
 from alight.runner.opening import open_source
-from alight.runs import appearance_of, result_of, with_home
+from alight.runs import appearance_of, result_of, with_home, zones_of
 from alight.settings import Settings
 from alight.sources import Source
 
@@ -46,9 +45,7 @@ def replay(
     settings: Settings,
     poses: str | None = None,
     progress: StageProgress = unreported,
-    tile_store: TileStore | None = None,
-    jobs: Jobs | None = None,
-    prior: PriorHeights | None = None,
+    options: PipelineOptions | None = None,
 ) -> RunResult:
     """Run the pipeline over a source and return the result.
 
@@ -56,23 +53,21 @@ def replay(
         source, settings: the recording, and all settings.
         poses: `truth` or a TUM file of body poses in ENU, instead of the estimated motion; None: estimate the motion.
         progress: called with the stage and the share of it that is done.
-        tile_store: store for map tiles that the flight has left behind; None: in memory.
-        jobs: workers for photos and for maps at the end; None: this process.
-        prior: heights from another source, as first values of the estimation; the map is compared with them.
+        options: its tile store, workers, prior heights and zones are used; None: there are none.
 
     Raises:
         InputError: no part of the recording can be used.
     """
-    given = given_poses(source, poses)
+    given, options = given_poses(source, poses), options or PipelineOptions()
     if shifts := source.notes.get("timeshift_cam_imu"):
         from alight.checks.clock_offset import contradicted_shift
 
         if why := contradicted_shift(source.rig, source.events(), shifts[0] or 0.0):
             source.findings.warn(why)
-    options = PipelineOptions(
-        given, _adjustment(source, settings, jobs) if given is None else None, appearance_of(settings),
-        source.imu_noise, prior, None if source.schedule is None else ScheduledPolicy(source.schedule),
-        clock=time.perf_counter, tile_store=tile_store, jobs=jobs, history=source.schedule is None,
+    options = replace(
+        options, poses=given, navigation=_adjustment(source, settings, options.jobs) if given is None else None,
+        appearance=appearance_of(settings), imu=source.imu_noise, clock=time.perf_counter,
+        policy=None if source.schedule is None else ScheduledPolicy(source.schedule), history=source.schedule is None,
     )  # fmt: skip
     progress = with_whole(progress, usual_parts(settings.motion.bundles(source.kind)))
     pipeline = Pipeline(source.rig, source.kind, settings, options)
@@ -152,6 +147,7 @@ class Find:
     places: Path | None = None  # file with the positions of photos
     geoid: Path | None = None  # grid of geoid heights, for altitudes of photos above sea level
     topics: Mapping[str, str] = field(default_factory=dict)  # topics of a ROS bag by role
+    zones: Path | None = None  # file of zones
 
 
 def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported) -> RunResult:
@@ -175,21 +171,24 @@ def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported)
     given_poses(source, how.poses)  # wrong ones are reported before any work
     if how.home is not None and not source.georeferenced:
         raise InputError(f"--home: {source.name} has no place on Earth; run it without")
-    prior = prior_heights(source, settings, how.prior)
+    options = PipelineOptions(
+        prior=prior_heights(source, settings, how.prior), zones=zones_of(source, settings, how.zones)
+    )
     given = [Path(how.poses)] if how.poses and how.poses != "truth" else []
-    given += [file for file in (how.prior, how.places, how.geoid) if file is not None and file.is_file()]
+    given += [file for file in (how.prior, how.places, how.geoid, how.zones) if file is not None and file.is_file()]
     prepare_folder(out, how.overwrite, [*given, *([path] if path.is_file() else [])])
     with closing(FileStore(out)) as tile_store:
+        options = replace(options, tile_store=tile_store)
         if not digest:
-            return with_home(replay(source, settings, how.poses, progress, tile_store, prior=prior), how.home)
+            return with_home(replay(source, settings, how.poses, progress, options), how.home)
         from alight.cluster import open_jobs
         from alight.photos.work import SavedJobs, WorkFolder, work_key
 
         with open_jobs(how.scheduler) as jobs:
             work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)
             try:
-                saved = SavedJobs(jobs, work)
-                return with_home(replay(source, settings, how.poses, progress, tile_store, saved, prior), how.home)
+                options = replace(options, jobs=SavedJobs(jobs, work))
+                return with_home(replay(source, settings, how.poses, progress, options), how.home)
             except KeyboardInterrupt:
                 log.warning("%d pieces of work are kept in %s: the same with --resume goes on", len(work), out)
                 raise

@@ -73,6 +73,22 @@ class RasterPlane:
         """Convert a position in this plane from metres to units of the coordinate system."""
         return self.x + east / self.metres, self.y + north / self.metres
 
+    def from_degrees(self, lon_lat: F64) -> F64:
+        """Convert longitude and latitude, (N, 2) degrees, to positions in this plane, (N, 2) metres."""
+        x, y = self._to_crs.transform(*lon_lat.T)
+        return np.column_stack([x - self.x, y - self.y]) * self.metres
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Longitude and latitude of the raster's middle, degrees."""
+        east, north = (axis.mean() for axis in self.grid.xy())
+        lon, lat = self._to_crs.transform(*self.in_crs(east, north), direction="INVERSE")
+        return float(lon), float(lat)
+
+    @property
+    def _to_crs(self) -> pyproj.Transformer:
+        return pyproj.Transformer.from_crs("EPSG:4326", self.reference.plane, always_xy=True)
+
     def lies_in(self, local: LocalFrame) -> bool:
         """Whether coordinates in this plane equal coordinates in `local`, to a fraction of a cell; True if unknown."""
         if not self.reference.on_earth:

@@ -17,11 +17,12 @@ from alight.flight.autopilot import Autopilot, TelemetryEvents
 from alight.flight.executive.table import ENDS
 from alight.flight.session.pilot import LandingLog, LandingPilot
 from alight.flight.session.preflight import judge_motion
+from alight.landing.zones import MapZones
 from alight.pipeline import Decision, FlightPolicy, Pipeline, PipelineOptions, Verdict
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation
 from alight.pipeline.timing import Timings
-from alight.records import Event, Frame
+from alight.records import NO_ZONES, Event, Frame, ZonesOnPlane
 from alight.records.executive import FlightDiary, FlightState
 from alight.records.telemetry import FirmwareName
 from alight.settings import Settings
@@ -57,6 +58,7 @@ def fly_landing(
     happening: Callable[[Trial], None] = lambda trial: None,
     firmware: FirmwareName = "ardupilot",
     map_all: bool = False,
+    zones: ZonesOnPlane = NO_ZONES,
 ) -> Landing:
     """Search, look, look from lower, and land or give up; return the end of the landing.
 
@@ -67,8 +69,9 @@ def fly_landing(
         happening: called before every decision; it may act on the vehicle, the autopilot and the link.
         firmware: firmware of the simulated autopilot.
         map_all: whether to make and judge the map of the whole flight at its end.
+        zones: zones of the user, in the world of the vehicle.
     """
-    trial = Trial(vehicle, settings, appearance, firmware)
+    trial = Trial(vehicle, settings, appearance, firmware, zones)
     while not trial.over:
         if trial.begun:
             happening(trial)
@@ -121,20 +124,21 @@ class Trial:
     """One landing in closed loop, step by step.
 
     Args:
-        vehicle, settings, appearance, firmware: see `fly_landing`.
+        vehicle, settings, appearance, firmware, zones: see `fly_landing`.
     """
 
     def __init__(
         self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None = None,
-        firmware: FirmwareName = "ardupilot",
+        firmware: FirmwareName = "ardupilot", zones: ZonesOnPlane = NO_ZONES,
     ) -> None:  # fmt: skip
         recursive = settings.parallax.model_copy(update={"method": "recursive"})
         self._vehicle, self._settings = vehicle, settings.model_copy(update={"parallax": recursive})
         self._costs = Timings(time.process_time)
         policy = FlightPolicy(every=0)  # judged when the executive needs it
+        on_maps = MapZones(zones, settings.lander.reach) if zones.zones else None
         options = PipelineOptions(
             appearance=appearance, imu=vehicle.imu_noise, policy=policy, on_verdict=self._judged,
-            clock=time.perf_counter, history=False,
+            clock=time.perf_counter, history=False, zones=on_maps,
         )  # fmt: skip
         self._pipeline = _MeasuredPipeline(vehicle.rig, "flight", self._settings, options)
         self._pipeline.costs = self._costs
@@ -147,7 +151,9 @@ class Trial:
         while self._ours.vehicle is None:  # the autopilot sends its first heartbeat
             self.autopilot.step(STEP)
             self.link.carry(vehicle.time_ns)
-        self._pilot = LandingPilot(self._settings, local, self._ours.vehicle, self._ours.vehicle, policy, LandingLog())
+        self._pilot = LandingPilot(
+            self._settings, local, self._ours.vehicle, self._ours.vehicle, policy, LandingLog(), zones
+        )
         self._later: list[tuple[int, int, Callable[[], None]]] = []  # due, number, call
         self._start_ns = vehicle.time_ns
         self._begin_ns: int | None = None

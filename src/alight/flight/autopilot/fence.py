@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
+import shapely
 
 from alight.arrays import F64
 from alight.flight.autopilot.dialect import mavlink
 from alight.flight.autopilot.onboard import StoredItem
 from alight.geometry import LocalFrame
-from alight.geometry.zones import Circle, Polygon, Region, Shape, Union, Zone
+from alight.geometry.zones import Region, Zone, united
 from alight.records import InputError
 
 _DEGREE = 1e-3  # step, degrees, over which the metres of a degree are measured
@@ -53,11 +54,11 @@ def on_plane(local: LocalFrame, at: OnEarth) -> F64:
     return np.array([turned * east, (at.latitude - local.latitude) * north]) / _DEGREE
 
 
-def fence_region(items: Sequence[StoredItem], local: LocalFrame, united: bool) -> Region:
+def fence_region(items: Sequence[StoredItem], local: LocalFrame, any_of: bool) -> Region:
     """Return the region that a fence allows, in the plane of `on_plane`.
 
     Args:
-        united: whether the vehicle must stay in any, instead of in each, of the zones that keep it in.
+        any_of: whether the vehicle must stay in any, instead of in each, of the zones that keep it in.
 
     Raises:
         InputError: an item is of an unknown kind, or a polygon or a circle is incomplete; the message names it.
@@ -76,10 +77,12 @@ def fence_region(items: Sequence[StoredItem], local: LocalFrame, united: bool) -
             raise InputError(f"fence: {name} has {len(corners)} corners of one kind and {count} are announced")
         if kind.is_circle and not corners[0].parameter > 0.0:
             raise InputError(f"fence: {name} has a radius of {corners[0].parameter:g} m")
-        shape: Shape = Circle(at[0], corners[0].parameter) if kind.is_circle else Polygon((at,))
-        zones.append(Zone(name, shape, kind.keeps_in))
+        if kind.is_circle:
+            zones.append(Zone(name, shapely.Point(at[0]), kind.keeps_in, corners[0].parameter))
+        else:
+            zones.append(Zone(name, shapely.make_valid(shapely.Polygon(at)), kind.keeps_in))
     inner = [z for z in zones if z.keeps_in]
-    if united and len(inner) > 1:
-        joined = Zone(" or ".join(z.name for z in inner), Union(tuple(z.shape for z in inner)), True)
+    if any_of and len(inner) > 1:
+        joined = united(" or ".join(z.name for z in inner), inner)
         zones = [joined, *(z for z in zones if not z.keeps_in)]
     return Region(tuple(zones))

@@ -105,7 +105,9 @@ class Executive:
             frame.home, frame.id = at.copy(), now.frame_id
         if at is not None and self._visit is not None and now.frame_id == frame.id:
             self._visit.left = float(at[2]) - self._visit.place.up
-        if (seen := self._seen(now)) is not None:
+        seen = self._seen(now)
+        bounds.observe(seen)
+        if seen is not None:
             frame.ground = seen.ground
             self._places.note(seen)
         if at is not None and frame.ground is not None and now.frame_id == frame.id:

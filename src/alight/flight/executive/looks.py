@@ -138,7 +138,7 @@ class LookPlanner:
         if seen.number != self._number:
             self._number, self._open = seen.number, {}
         if place not in self._open:
-            inside = self.clear_way.bounds.is_inside(place.position_world)
+            inside = self.clear_way.bounds.allows_site(place.position_world)
             self._open[place] = inside and self.across(place, self.first_height(place, now), now, seen) is not None
         return self._open[place]
 

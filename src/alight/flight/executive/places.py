@@ -57,27 +57,29 @@ def opinion(
         free: returns whether a listed location may be treated as the same.
         margin: least clearance of a site, metres; a cell with less is at best a candidate.
     """
-    listed = [s for s in seen.sites.listed if free(s)]
+    listed = [s for s in seen.sites.listed if free(s) and (place.avoid or not s.avoid)]
     near = [s for s in listed if math.hypot(s.east - place.east, s.north - place.north) <= same]
     if near:
         best = max(near, key=lambda s: s.p_safe)
-        return Opinion(Standing(best.kind), best, best.p_safe, best.doubt or "")
+        is_site = best.kind == "site" or best.doubt == "zone"  # it is visited after all others
+        return Opinion(Standing.SITE if is_site else Standing.CANDIDATE, best, best.p_safe, best.doubt or "")
     grid = seen.hazards.grid
     row, col = (int(np.rint(v)) for v in grid.index(np.array(place.east), np.array(place.north)))
     if not (0 <= row < grid.rows and 0 <= col < grid.cols):
         return Opinion(Standing.NOT_SEEN, place, 0.0, "outside the map")
     reasons, p = Hazard(int(seen.hazards.reasons[row, col])), float(seen.hazards.p_safe[row, col])
+    doubts = Hazard.DOUBT | Hazard.AVOID if place.avoid else Hazard.DOUBT
     if reasons & (Hazard.UNKNOWN | Hazard.EDGE) and not reasons & ~(Hazard.UNKNOWN | Hazard.EDGE):
         return Opinion(Standing.NOT_SEEN, place, 0.0, "not seen whole")
-    if reasons & ~Hazard.DOUBT:
-        words = ", ".join(REASON_WORDS[bit] for bit in reasons if bit in REASON_WORDS)
+    if reasons & ~doubts:
+        words = seen.hazards.words(REASON_WORDS, row, col)
         return Opinion(Standing.REFUSED, place, 0.0 if math.isnan(p) else p, words)
     if math.isnan(p):
         return Opinion(Standing.NOT_SEEN, place, 0.0, "not judged")
     found = replace(place, p_safe=p)
     if p < least:
         return Opinion(Standing.REFUSED, found, p, "P(safe) is too low")
-    roomy = keeps_margin(seen.hazards.clearance[row, col], margin)
+    roomy = place.avoid or keeps_margin(seen.hazards.clearance[row, col], margin)
     why = "doubt" if reasons & Hazard.DOUBT else "" if roomy else f"another is refused within {margin:.1f} m"
     return Opinion(Standing.CANDIDATE if why else Standing.SITE, found, p, why)
 
@@ -100,9 +102,9 @@ class KnownPlaces:
         """Return why no location was landed on, as the end of a sentence; empty: no location was known."""
         refused = f"; {self.refusals} places were refused from near by" if self._refused else ""
         at = [p.position_world for p in self._ranked()]
-        outside = [bounds.limit(p) for p in at if not bounds.is_inside(p)]
-        fence = f"; {len(outside)} are outside the fence ({', '.join(sorted({*outside}))})" if outside else ""
-        left = self.best(lambda place: bounds.is_inside(place.position_world)) is not None
+        outside = [bounds.limit(p) for p in at if not bounds.allows_site(p)]
+        fence = f"; {len(outside)} are outside the {bounds.name} ({', '.join(sorted({*outside}))})" if outside else ""
+        left = self.best(lambda place: bounds.allows_site(place.position_world)) is not None
         return f"{refused}{fence}{'; something stands beside what is left' if left else ''}"
 
     def note(self, seen: MapVerdict) -> None:
@@ -146,12 +148,17 @@ class KnownPlaces:
         """Return the locations that were not refused: sites, then candidates, each by P(safe) and land cover."""
         plain = {Terrain.BARE: self._keys.plain, Terrain.PAVED: self._keys.plain}  # near looks settle doubt here
         free = [p for p in self._noted if not self.is_refused(p)]
-        return sorted(free, key=lambda p: (p.kind == "site", p.p_safe + plain.get(p.terrain, 0.0)), reverse=True)
+
+        def rank(p: Site) -> tuple[bool, bool, bool, float]:
+            preferred = p.preferred and (p.kind == "site" or p.p_safe >= self._keys.probable)
+            return not p.avoid, p.kind == "site", preferred, p.p_safe + plain.get(p.terrain, 0.0)
+
+        return sorted(free, key=rank, reverse=True)
 
     def worth_a_visit(self, place: Site) -> bool:
         """Whether a location is a site or, while few were refused, a good candidate; a search stops for it."""
         few = len(self._refused) < self._keys.tries_at_once
-        return place.kind == "site" or (few and place.p_safe >= self._keys.probable)
+        return not place.avoid and (place.kind == "site" or (few and place.p_safe >= self._keys.probable))
 
     def better(self, place: Site, is_open: Callable[[Site], bool] = lambda place: True) -> Site | None:
         """Return a location worth a visit and clearly better than `place`, which is in doubt; None: there is none.

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from alight import compiled, terrain
+from alight.landing.zones import MapZones
 from alight.outputs import FileStore
 from alight.pipeline.judging import JudgingLane, JudgingMemory
 from alight.pipeline.mapping.recursive_map import RecursiveMapper
@@ -35,7 +36,9 @@ def make_mapping(rig: Rig, settings: StageSettings, folder: Path) -> RecursiveMa
     return RecursiveMapper(rig, settings, FileStore(folder), Timings(), history=False)
 
 
-def make_judging(settings: StageSettings, appearance: terrain.Model | None, memory: JudgingMemory) -> JudgingLane:
+def make_judging(
+    settings: StageSettings, appearance: terrain.Model | None, zones: MapZones | None, memory: JudgingMemory
+) -> JudgingLane:  # fmt: skip
     """Make the judging lane, with the memory of the lane that it replaces."""
     compiled.load_cached(parallel=True)
-    return JudgingLane(settings, appearance, Timings(), memory)
+    return JudgingLane(settings, appearance, Timings(), memory, zones)

@@ -25,6 +25,7 @@ from alight.flight.live.lane_process import LaneLost, LaneProcess, LaneSpec
 from alight.flight.live.lanes import NavigationProcess, make_judging, make_mapping
 from alight.flight.live.mailbox import Closed, Mailbox
 from alight.flight.live.stream_clocks import StreamClocks
+from alight.landing.zones import MapZones
 from alight.outputs.recorder import Recorder
 from alight.pipeline import Decision, FlightPolicy, Verdict
 from alight.pipeline.judging import JudgingMemory
@@ -65,6 +66,7 @@ class LiveOptions:
     real_time: bool = False  # whether to find late events and clock jumps by the arrival of the events
     makers: Mapping[str, Callable[..., Any]] = field(default_factory=dict)  # non-default makers of lanes
     policy: FlightPolicy | None = None  # policy of the mapping and judging lanes; None: by `sites.every`
+    zones: MapZones | None = None  # zones of the user, in the world
 
 
 class Live:
@@ -96,7 +98,9 @@ class Live:
         specs = (
             LaneSpec(NAVIGATION, NavigationProcess, (rig, stages), 0.9, "next_frame", 0, 0),
             LaneSpec(MAPPING, make_mapping, (rig, stages, folder), 15.0, "", None, 5),
-            LaneSpec(JUDGING, make_judging, (stages, options.appearance), 30.0, "memory", JudgingMemory(), 6),
+            LaneSpec(
+                JUDGING, make_judging, (stages, options.appearance, options.zones), 30.0, "memory", JudgingMemory(), 6
+            ),
         )
         self.lanes = {
             s.name: LaneProcess(replace(s, make=options.makers.get(s.name, s.make)), self._replaced) for s in specs
@@ -180,7 +184,8 @@ class Live:
             for lane in self.lanes.values():
                 lane.patience = 120.0  # the last judgement is of the map of the whole flight
             navigation, mapping, judging = list[Any](self.lanes.values())
-            return self._with_warnings(conclude(navigation, mapping, judging, self._settings, Timings()))
+            decision = conclude(navigation, mapping, judging, self._settings, Timings(), zones=self._options.zones)
+            return self._with_warnings(decision)
         except LaneLost as e:
             raise AlightError(f"a lane was lost when the flight was over: {e}; the recording can be replayed") from e
         finally:

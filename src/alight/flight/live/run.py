@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from alight.flight.live.live import Listener, Live, LiveOptions
+from alight.landing.zones import MapZones
 from alight.outputs import prepare_folder
 from alight.outputs.recorder import Recorder, make_room
 from alight.pipeline import FlightPolicy
@@ -34,6 +35,7 @@ class LiveRequest:
     real_time: bool = False  # whether events come from sensors: late events and clock jumps are found by arrival
     overwrite: bool = False
     inputs: Sequence[Path] = ()  # files that the source reads; they may not lie in `out`
+    zones: MapZones | None = None  # zones of the user, in the world of the source
 
 
 def fly_live(
@@ -86,7 +88,7 @@ class LiveRun:
         self.recorder = Recorder(request.out / RECORDING, head) if request.record else None
         options = LiveOptions(
             listener or Listener(), self.recorder, folder=request.out, appearance=appearance_of(settings),
-            imu=source.imu_noise, real_time=request.real_time, policy=policy,
+            imu=source.imu_noise, real_time=request.real_time, policy=policy, zones=request.zones,
         )  # fmt: skip
         self.live = Live(source.rig, settings, options)
 

@@ -127,4 +127,6 @@ class FlightChecks:
         missing = feed.events_of.missing
         checks = preflight.judge_vehicle(vehicle, missing, plan.settings, take_off, plan.dry_run, home)
         stored = [*preflight.judge_parameters(vehicle), *preflight.judge_fence(vehicle, plan.settings)]
+        if plan.zones is not None:
+            stored.append(preflight.judge_zones(vehicle, plan.zones, feed.events_of.local, plan.settings))
         return [*found, *checks, preflight.judge_imu(vehicle, plan.imu_rate), *stored]

@@ -24,9 +24,10 @@ from alight.flight.session.outcome import FlightOutcome, landing_outcome
 from alight.flight.session.pilot import LandingPilot, PilotView, SessionLog
 from alight.flight.session.request import FlightRequest, FlightStatus, OnLine, OnStatus
 from alight.flight.session.take_off import TakeOff
+from alight.landing.zones import MapZones
 from alight.outputs import prepare_folder
 from alight.pipeline import FlightPolicy
-from alight.records import Event, FlightMode, Frame, Notice, NoticeKind
+from alight.records import NO_ZONES, Event, FlightMode, Frame, Notice, NoticeKind
 from alight.records.executive import FlightState
 from alight.sources.calibrated_folder import CalibratedFolder
 from alight.sources.live import LiveSource, as_they_arrive, open_sensors
@@ -101,9 +102,11 @@ def open_session(
     opened.source.locate(local)
     commands = DryRunVehicle(lambda text: log.on_line(f"order, not sent: {text}")) if plan.dry_run else vehicle
     policy = FlightPolicy(every=0)  # maps are judged as the executive needs verdicts
-    pilot = LandingPilot(plan.settings, local, vehicle, commands, policy, log)
+    zones = NO_ZONES if plan.zones is None else plan.zones.in_world(local)
+    pilot = LandingPilot(plan.settings, local, vehicle, commands, policy, log, zones)
     listener = Listener(pilot.inputs.add_motion, pilot.inputs.add_verdict)
-    request = LiveRequest(plan.out, plan.settings, plan.record, True, plan.overwrite)
+    on_maps = MapZones(zones, plan.settings.lander.reach) if plan.zones is not None else None
+    request = LiveRequest(plan.out, plan.settings, plan.record, True, plan.overwrite, zones=on_maps)
     run = LiveRun(opened.source, request, listener, policy)
     log.recorder = run.recorder
     events = as_they_arrive(opened.events, feed.events())

@@ -20,7 +20,7 @@ from alight.geometry import Grid, LocalFrame
 from alight.outputs.reading import EarlierSite
 from alight.outputs.recorder import Recorder
 from alight.pipeline import FlightPolicy
-from alight.records import FlightMode, Landed, Motion, Notice, NoticeKind, Site, Telemetry
+from alight.records import NO_ZONES, FlightMode, Landed, Motion, Notice, NoticeKind, Site, Telemetry, ZonesOnPlane
 from alight.records.executive import (
     FlightDiary,
     FlightState,
@@ -128,16 +128,17 @@ class LandingPilot:
         commands: receiver of the orders: the vehicle itself, or a `DryRunVehicle`.
         policy: policy of the lanes; it gets the needed verdicts at every decision.
         log: receiver of orders, diary entries and notes.
+        zones: zones of the user, in the world.
     """
 
     def __init__(
         self, settings: Settings, local: LocalFrame, vehicle: RemoteVehicle, commands: VehicleCommands,
-        policy: FlightPolicy, log: LandingLog,
+        policy: FlightPolicy, log: LandingLog, zones: ZonesOnPlane = NO_ZONES,
     ) -> None:  # fmt: skip
         self._vehicle, self._commands, self._policy, self._log = vehicle, commands, policy, log
         stages = settings.stages()
         self.executive, k = Executive(stages), stages.executive
-        self._stages, self._local = stages, local
+        self._stages, self._local, self._zones = stages, local, zones
         self.inputs = LandingInputs(vehicle, local, k.stale, log.note)
         self.delays = {name: deque[float](maxlen=20_000) for name in ("image to way-point", "image to set-point")}
         self._led = dict.fromkeys(self.delays, 0)  # newest exposures that led to an order
@@ -173,7 +174,7 @@ class LandingPilot:
             self.orders.on_answer(notice.ticket, notice.ok, notice.t_ns)
 
     def begin(self, now_ns: int, flying: bool = False, goals: Sequence[EarlierSite] = ()) -> None:
-        """Begin the landing, within the fence that was read from the autopilot.
+        """Begin the landing, within the fence that was read from the autopilot and the zones.
 
         Args:
             now_ns: present time of our clock, time zero of the diary.
@@ -183,7 +184,8 @@ class LandingPilot:
         self.inputs.begin(now_ns, flying)
         place = self._vehicle.telemetry.place
         start = np.zeros(2) if place is None else on_plane(self._local, place)
-        bounds, within = Bounds(self._stages, self._vehicle.fence_of(self._local), start), list[Goal]()
+        bounds = Bounds(self._stages, self._vehicle.fence_of(self._local), start, self._zones)
+        within = list[Goal]()
         for goal in (Goal(g.name, on_plane(self._local, g)) for g in goals):
             if why := bounds.objection(goal.position):
                 self._log.note("sites", f"{goal.name} is left out: {why}")

@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from alight.checks.result import CheckResult, bad, good, unknown, warning
-from alight.flight.autopilot import RemoteVehicle, StreamRate, judged_parameters
+from alight.flight.autopilot import RemoteVehicle, StreamRate, judged_parameters, on_plane
 from alight.flight.executive.bounds import Bounds
 from alight.flight.live.speed import LASTS, Speed
 from alight.geometry import LocalFrame
-from alight.records import FIX_3D, InputError, Landed, Motion, MotionState, Rig, Telemetry
+from alight.records import FIX_3D, InputError, Landed, Motion, MotionState, Rig, Telemetry, Zones, ZonesOnPlane
 from alight.settings import Settings
 
 LEAST_RATE, GOOD_RATE = 2.0, 4.0  # exposures per second
@@ -174,6 +175,37 @@ def judge_fence(vehicle: RemoteVehicle, settings: Settings) -> list[CheckResult]
         return [bad("fence", why, "fly to where there is room, or move the fence")]
     left = f"{names}; {100 * share:.0f} % of the search area are inside; {points}"
     return [good("fence", left) if share > 0.5 else warning("fence", left, "search elsewhere, or set a smaller margin")]
+
+
+@lru_cache(maxsize=1)  # checks are repeated
+def _in_world(zones: Zones, local: LocalFrame) -> ZonesOnPlane:
+    return zones.in_world(local)
+
+
+def judge_zones(
+    vehicle: RemoteVehicle, zones: Zones, local: LocalFrame | None, settings: Settings
+) -> CheckResult:  # fmt: skip
+    """Check that the vehicle hovers below the floor of no zone, and how much of the search area the zones leave.
+
+    `local`: the world frame of the flight; None: not known yet.
+    """
+    place = vehicle.telemetry.place
+    if place is None or local is None:
+        return bad("zones", "no position yet, so they cannot be judged", "wait")
+    try:
+        near = _in_world(zones, local)
+    except InputError as e:
+        return bad("zones", str(e), "mend the file")
+    at, above, disc = on_plane(local, place), place.above_home, settings.lander.reach
+    if within := [z for z in near.limits(above, at) if not z.keeps_in and z.depth(at[None])[0] > -disc]:
+        why = f"it hovers {above:.0f} m above home, below the floor of {within[0].name}"
+        return bad("zones", why, "fly out of the zone, or climb above its floor")
+    share = Bounds(settings.stages(), start=at, zones=near).share(settings.executive.search_side)
+    left = f"{near.note}; {100 * share:.0f} % of the search area are left"
+    if share == 0.0:
+        return bad("zones", left, "fly to where there is room, or change the zones")
+    doubts = "; ".join(near.warnings) or ("search elsewhere, or change the zones" if share <= 0.5 else "")
+    return warning("zones", left, doubts) if doubts else good("zones", left)
 
 
 def _estimator(vehicle: RemoteVehicle, missing: str) -> CheckResult:

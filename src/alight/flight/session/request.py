@@ -9,7 +9,7 @@ from pathlib import Path
 from alight.checks.result import CheckResult
 from alight.flight.session.pilot import PilotView
 from alight.outputs.reading import EarlierSite
-from alight.records import Home, InputError, Telemetry
+from alight.records import Home, InputError, Telemetry, Zones
 from alight.settings import Settings
 
 
@@ -31,6 +31,7 @@ class FlightRequest:
     record: bool = True
     overwrite: bool = False
     goals: tuple[EarlierSite, ...] = ()  # places to look at before the search, in this order
+    zones: Zones | None = None  # of the user
 
     def validate(self) -> None:
         """Raise InputError, with the remedy, if no landing can be flown with these options."""

@@ -1,0 +1,107 @@
+"""Zones on the map: touchdowns that they refuse, and the zone nearest to each site."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from rasterio import Affine
+from rasterio.features import rasterize
+
+from alight.arrays import F64, U16
+from alight.geometry import Grid
+from alight.raster import clearance_of
+from alight.records import Hazard, HazardMap, NearZone, Site, Sites
+from alight.records.zones import ONLY, GroundZone, Use, ZonesOnPlane, cut
+
+
+class _Touchdowns(NamedTuple):
+    """Touchdowns with a reason against them: their area, and the zone in words."""
+
+    reason: Hazard
+    area: shapely.Geometry
+    label: str
+
+
+class MapZones:
+    """The zones of a run, for its maps. Maps may lie `offset`, (2,) metres, from the zones' plane.
+
+    Args:
+        zones: the zones.
+        reach: radius of the vehicle's disc, metres.
+    """
+
+    def __init__(self, zones: ZonesOnPlane, reach: float) -> None:
+        self.plane, self._reach = zones, reach
+
+    def judged(self, hazards: HazardMap, offset: F64 | tuple[float, float] = (0.0, 0.0)) -> HazardMap:
+        """Return the hazards with the reasons of the zones; P(safe), the chance that the lander stands, stays."""
+        grid = replace(hazards.grid, east=hazards.grid.east + offset[0], north=hazards.grid.north + offset[1])
+        drawn = [t for t in self._against(_frame(grid)) if not t.area.is_empty]
+        zone = _drawn([t.area for t in drawn], grid)
+        reasons = hazards.reasons | np.array([0, *(t.reason for t in drawn)], np.uint16)[zone]
+        preferred = _drawn([z.shape for z in self.plane.of("prefer")], grid) > 0
+        return replace(
+            hazards, reasons=reasons, clearance=clearance_of(reasons == 0, grid.cell), zone=zone,
+            zone_labels=tuple(t.label for t in drawn), preferred=preferred if preferred.any() else None,
+        )  # fmt: skip
+
+    def _against(self, frame: shapely.Geometry) -> Iterator[_Touchdowns]:
+        """Yield the touchdowns of a map that zones are against; those with a stronger reason come later."""
+        yield from self._in("avoid", Hazard.AVOID, frame)
+        for use in ONLY:
+            if zones := self.plane.of(use):
+                areas = [z.shape.buffer(z.reach - z.margin - self._reach) for z in zones]
+                label = f"outside {use} zone {' or '.join(z.name for z in zones)}"
+                yield _Touchdowns(Hazard.ZONE, frame.difference(shapely.union_all(areas)), label)
+        yield from self._in("keep-out", Hazard.ZONE, frame)
+
+    def _in(self, use: Use, reason: Hazard, frame: shapely.Geometry) -> Iterator[_Touchdowns]:
+        for z in self.plane.of(use):
+            room = z.reach + z.margin + self._reach
+            if shapely.distance(z.shape, frame) < room:
+                yield _Touchdowns(reason, cut(z.shape, frame.buffer(2.0 * room)).buffer(room), z.label)
+
+    def crossed(self, start: F64, to: F64) -> list[GroundZone]:
+        """Return the zones with a floor that the vehicle's disc crosses from `start` to `to`, (2,) metres."""
+        way, shut = shapely.LineString([start, to]), (z for z in self.plane.of("keep-out") if z.floor > 0.0)
+        return [z for z in shut if shapely.distance(z.shape, way) < z.reach + z.margin + self._reach]
+
+    def named(self, sites: Sites, offset: F64 | tuple[float, float] = (0.0, 0.0)) -> Sites:
+        """Return the sites and candidates, each with the zone that is nearest to it."""
+        return replace(
+            sites,
+            sites=tuple(replace(s, zone=self._nearest(s, offset)) for s in sites.sites),
+            candidates=tuple(replace(s, zone=self._nearest(s, offset)) for s in sites.candidates),
+        )
+
+    def _nearest(self, site: Site, offset: F64 | tuple[float, float]) -> NearZone | None:
+        """Return the nearest zone to keep out of or to avoid; without any, the nearest other zone."""
+        zones = self.plane.of("keep-out", "avoid") or [z for z in self.plane.zones if not z.shape.is_empty]
+        if not zones:
+            return None
+        at = shapely.Point(site.east + offset[0], site.north + offset[1])
+        away = shapely.distance([z.shape for z in zones], at) - [z.reach for z in zones]
+        nearest = zones[int(away.argmin())]
+        to = np.subtract(*shapely.get_coordinates(shapely.shortest_line(nearest.shape, at)))
+        inside = away.min() <= 0.0
+        bearing = math.nan if inside else math.atan2(to[0], to[1]) % (2.0 * math.pi)
+        return NearZone(nearest.label, 0.0 if inside else float(away.min()), bearing)
+
+
+def _frame(grid: Grid) -> shapely.Geometry:
+    cell, _, west, _, _, north = grid.transform
+    return shapely.box(west, north - grid.rows * cell, west + grid.cols * cell, north)
+
+
+def _drawn(areas: list[shapely.Geometry], grid: Grid) -> U16:
+    """Return for each cell, (R, C), the number of the last area that holds its centre, from 1; 0: none does."""
+    out = np.zeros(grid.shape, np.uint16)
+    if areas:
+        numbered = ((area, number) for number, area in enumerate(areas, 1))
+        rasterize(numbered, out=out, transform=Affine(*grid.transform))
+    return out
