@@ -17,6 +17,7 @@ demo: $(MADE)  ## a simulated vehicle looks for a site and lands; the report: ou
 	$(BIN)/alight demo --out out/demo
 
 test: $(MADE)  ## the tests, the import contracts among them
+	$(BIN)/alight warmup
 	$(PYTEST)
 
 test-long: $(MADE)  ## more cases of what shorter tests show: each fault on each autopilot, each damage, a recorded flight

@@ -17,13 +17,11 @@ import pytest
 from damage import write_flight, write_photos
 from hypothesis import settings
 
-from alight import compiled
-from alight.trials.warmup import compile_kernels
+from alight.loop_forms import compile_loops
 
 T = TypeVar("T")
 
-# Files that begin: the longest ones, so that two workers end together. On a machine that has compiled no loop yet, the
-# first file lets its worker compile those of the simulator, while the other worker compiles those of the stages.
+# Files that begin: the longest ones, so that two workers end together.
 BEGIN = (
     "flight/live/test_live.py", "pipeline/test_levels.py", "photos/test_bundle.py", "parallax/test_kernels_parallax.py",
     "hazards/test_hazards_kernels.py", "flight/executive/test_executive.py", "test_loop_cache.py",
@@ -69,8 +67,7 @@ def shared_data() -> Path:
 @pytest.fixture(scope="session")
 def warm() -> None:
     """Compile all loops of a run, as before a live run."""
-    if not compiled.is_warm():
-        compile_kernels(lambda stage, share: None)
+    compile_loops("flight")
 
 
 @pytest.fixture

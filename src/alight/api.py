@@ -279,11 +279,10 @@ def campaign(
 
 
 def warmup(progress: Progress = _quiet) -> None:
-    """Compile all loops, so that the first run does not wait for the compiler."""
-    from alight.trials.warmup import compile_kernels
+    """Compile all loops, so that the first run does not wait for the compiler; `alight warmup` does it on all cores."""
+    from alight.loop_forms import USES, compile_loops
 
-    with single_threaded_algebra():
-        compile_kernels(progress)
+    compile_loops(*USES, progress=progress, cores=1)
 
 
 def train_appearance(folder: str | Path, out: str | Path, sampling: float = 0.05, progress: Progress = _quiet) -> str:

@@ -224,22 +224,22 @@ def load_cached(parallel: bool) -> int:
     return loaded
 
 
-def _mark(folder: Path) -> Path:
-    """Return the file that marks all loops as compiled; its name depends on the versions and the sources."""
-    about = [sys.version, numba.__version__, *(f"{p.resolve()} {p.stat().st_mtime_ns}" for p in kernel_sources())]
+def _mark(folder: Path, use: str) -> Path:
+    """Return the file that marks the loops as compiled; its name depends on the versions and the sources."""
+    about = [use, sys.version, numba.__version__, *(f"{p.resolve()} {p.stat().st_mtime_ns}" for p in kernel_sources())]
     return folder / f"warm-{hashlib.sha256(repr(about).encode()).hexdigest()[:16]}"
 
 
-def is_warm() -> bool:
-    """Whether all loops of a run were already compiled on this machine, from these sources."""
-    return CACHE is not None and _mark(CACHE).exists()
+def is_warm(use: str = "flight") -> bool:
+    """Whether the loops of a kind of run (`loop_forms.Use`) were compiled on this machine, from these sources."""
+    return CACHE is not None and _mark(CACHE, use).exists()
 
 
-def mark_warm() -> None:
-    """Record that all loops of a run were compiled on this machine, from these sources."""
+def mark_warm(use: str = "flight") -> None:
+    """Record that the loops of a kind of run were compiled on this machine, from these sources."""
     if CACHE is not None:
         with suppress(OSError):
-            _mark(CACHE).touch()
+            _mark(CACHE, use).touch()
 
 
 class CompilationListener(event.Listener):  # type: ignore[misc]

@@ -41,7 +41,7 @@ class FractalRelief(Section):
 
 def _add(x: F64, y: F64, waves: tuple[F64, F64], form: int, seed: int, out: F64) -> None:
     kernel = add_fractal if x.size > FEW else add_fractal_here
-    kernel(np.ascontiguousarray(x), np.ascontiguousarray(y), *waves, form, seed, out)  # one type: compiled once
+    kernel(np.ascontiguousarray(x), np.ascontiguousarray(y), *waves, int(form), seed, out)  # one type: compiled once
 
 
 def octaves(deviation: float, longest: float, shortest: float, fall: float) -> tuple[F64, F64]:

@@ -12,7 +12,7 @@ import typer
 
 from alight.cli import options
 from alight.cli.app import ExitCode, app
-from alight.cli.terminal import is_terminal, live_table, print_line, print_stderr, save_result
+from alight.cli.terminal import is_terminal, live_table, print_line, print_stderr, progress_bar, save_result
 
 if TYPE_CHECKING:
     from alight.flight.session.outcome import FlightOutcome
@@ -116,12 +116,12 @@ def live(o: LiveOptions) -> None:
 def compile_if_cold() -> None:
     """Compile all loops, once before a flight, if they are not in the cache."""
     from alight import compiled
+    from alight.loop_forms import compile_loops
 
     if not compiled.is_warm():
-        from alight.trials.warmup import compile_kernels
-
         print_stderr("loops are compiled before the flight, once; 'alight warmup' does it ahead of time")
-        compile_kernels(lambda stage, share: None)
+    with progress_bar() as report:
+        compile_loops("flight", progress=report)
 
 
 @dataclass(kw_only=True)

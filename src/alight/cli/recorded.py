@@ -196,6 +196,7 @@ class HazardsOptions(options.ResultOptions):
 @options.command_of(HazardsOptions)
 def judge_raster(o: HazardsOptions) -> None:
     """Judge any height raster: P(safe) and reasons of each cell, and the landing sites for the lander."""
+    from alight.loop_forms import compile_loops
     from alight.outputs.folder import prepare_folder
     from alight.runner import judge
     from alight.sources.raster import read_ground
@@ -204,6 +205,7 @@ def judge_raster(o: HazardsOptions) -> None:
     ground = read_ground(o.dem, o.sigma, o.image, chosen.hazards.usual_sigma)
     prepare_folder(o.out, o.force, [*ground.files, *([o.zones] if o.zones else [])])
     with progress_bar() as report:
+        compile_loops("hazards", progress=report)
         report("judging", 0.0)
         judged = judge.judge_ground(ground, chosen, o.dem.name, o.zones)
         report("judging", 1.0)
@@ -335,9 +337,9 @@ def show_settings(o: ShowOptions) -> None:
 
 @app.command()
 def warmup(verbose: options.Verbose = False) -> None:
-    """Compile all loops, so that the first run does not wait for the compiler."""
-    from alight.trials.warmup import compile_kernels
+    """Compile all loops on all cores, so that the first run does not wait for the compiler."""
+    from alight.loop_forms import USES, compile_loops
 
     with progress_bar() as report:
-        compile_kernels(report)
+        compile_loops(*USES, progress=report)
     print_line("ready")

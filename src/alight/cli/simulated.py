@@ -35,10 +35,12 @@ class DemoOptions(options.ResultOptions):
 def demo(o: DemoOptions) -> None:
     """Land a simulated vehicle: search, look, look again from lower down, touch down."""
     chosen = o.read_settings()
+    from alight.loop_forms import compile_loops
     from alight.outputs import write_run
     from alight.trials import demo as show
 
     with progress_bar() as report:
+        compile_loops("simulator", "flight", progress=report)
         landing = show.fly_demo(o.out, o.seed, chosen, o.force, report)
     print_result(landing.result)
     write_run(landing.result, o.out, o.force)
@@ -87,8 +89,10 @@ def simulate(o: SimulateOptions) -> None:
     wishes = [f"flight.{key}={value}" for key, value in given.items() if value is not None]
     scene, out = read_scene_with(o.scene, [*wishes, *(o.assign or ())], o.seed), o.out
     import alight_sim as simulator
+    from alight.loop_forms import compile_loops
 
     with progress_bar() as report:
+        compile_loops("simulator", progress=report)
         report("world", 0.0)
         flight = simulator.fly(scene, o.seed)
         report("world", 1.0)

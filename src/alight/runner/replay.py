@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from alight.jobs import InTurn, Jobs
+from alight.loop_forms import compile_loops
 from alight.outputs import FileStore, is_finished, prepare_folder
 from alight.pipeline import Pipeline, PipelineOptions, ScheduledPolicy, TimedPoses
 from alight.pipeline.navigation import NavigationLane
@@ -177,6 +178,7 @@ def find(path: Path, out: Path, how: Find, progress: StageProgress = unreported)
     given = [Path(how.poses)] if how.poses and how.poses != "truth" else []
     given += [file for file in (how.prior, how.places, how.geoid, how.zones) if file is not None and file.is_file()]
     prepare_folder(out, how.overwrite, [*given, *([path] if path.is_file() else [])])
+    compile_loops(source.kind, progress=progress)
     with closing(FileStore(out)) as tile_store:
         options = replace(options, tile_store=tile_store)
         if not digest:

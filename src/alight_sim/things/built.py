@@ -41,7 +41,7 @@ def stamp(sheet: Sheet, things: F64, kind: int, label: Terrain = Terrain.STRUCTU
     """Stamp boxes (N, COLUMNS) of shape `kind` (`kernels.stamps`) and class `label` on the sheet."""
     if len(things):
         stamps.stamp_boxes(
-            sheet.x[0], sheet.y[:, 0], sheet.cell, things, kind, int(label),
+            sheet.x[0], sheet.y[:, 0], sheet.cell, things, int(kind), int(label),
             sheet.height, sheet.label, sheet.depth, sheet.look, sheet.tint,
         )  # fmt: skip
 

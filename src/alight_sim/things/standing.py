@@ -52,7 +52,7 @@ class Dome(Scattered):
         things = lay.things(sheet.box)
         if len(things):
             stamps.stamp_domes(
-                sheet.x[0], sheet.y[:, 0], sheet.cell, things, np.array(look), shape, int(kind), rooted, lay.seed,
+                sheet.x[0], sheet.y[:, 0], sheet.cell, things, np.array(look), int(shape), int(kind), rooted, lay.seed,
                 sheet.ground, sheet.height, sheet.label, sheet.depth, sheet.look, sheet.tint,
             )  # fmt: skip
 
