@@ -12,7 +12,7 @@ import shapely
 from numpy.typing import NDArray
 
 from alight.records import ElevationMap, Kind, RunResult
-from alight.report import canvas, paint, words
+from alight.report import canvas, paint, survey, words
 from alight.report.canvas import Canvas
 
 BADGE = 21.0  # page units, radius of a number

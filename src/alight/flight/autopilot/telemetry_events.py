@@ -71,9 +71,7 @@ class TelemetryEvents:
         if self._flags is not None and not is_absolute(self._flags):
             return "the autopilot's estimator has no absolute position"
         if not math.isfinite(self._separation):
-            return (
-                "height above the ellipsoid: GPS_RAW_INT has no credible alt_ellipsoid; give the geoid's (--separation)"
-            )
+            return "height above the ellipsoid: GPS_RAW_INT has no credible alt_ellipsoid; give the --separation"
         return ""
 
     @property
