@@ -1,7 +1,7 @@
 """The forms of the compiled loops that each kind of run uses: runs one of each kind with an empty cache.
 
-    python bench/loop_forms.py            # the CPU time of each kind
-    python bench/loop_forms.py --write photos   # of one, and write it to src/alight/loop_forms.json
+python bench/loop_forms.py            # the CPU time of each kind
+python bench/loop_forms.py --write photos   # of one, and write it to src/alight/loop_forms.json
 """
 
 from __future__ import annotations
@@ -55,8 +55,9 @@ def judge(folder: Path) -> None:
 
 def map_photos(folder: Path) -> None:
     """Map a small card of photos."""
-    import alight
     from photo_sets import Drawn, draw
+
+    import alight
 
     draw(Drawn("village", (580, 387), 3, 5, 40.0, 0.75, 0.65), folder / "set")
     alight.run(folder / "set" / "images")

@@ -35,7 +35,9 @@ def compile_loop(name: str, forms: Sequence[str]) -> None:
         loop.compile(form)
 
 
-def compile_loops(*uses: Use, progress: Callable[[str, float], None] = lambda stage, share: None, cores: int = 0) -> None:
+def compile_loops(
+    *uses: Use, progress: Callable[[str, float], None] = lambda stage, share: None, cores: int = 0
+) -> None:
     """Compile the loops of these kinds of runs, unless that was done on this machine.
 
     Args:
