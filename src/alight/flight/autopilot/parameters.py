@@ -50,6 +50,7 @@ PARAMETERS: Mapping[str, tuple[WantedParameter, ...]] = {  # by name of the firm
         W("FS_EKF_ACTION", "1", (1, 3), "without a position the autopilot lands by itself", needed=True),
         W("FS_THR_ENABLE", "1", (1, 7), "a lost receiver ends the flight, as nobody could take over"),
         W("BATT_FS_LOW_ACT", "2", (1, 4), "a low battery ends the flight even if this computer fails"),
+        W("FS_OPTIONS", "24", ANY, "a failsafe low in a landing goes on down; else it climbs to return"),
         W("FLTMODE_CH", "5", (1, 16), "the mode switch is the takeover"),
         W("ARMING_CHECK", "1", (1, math.inf), "the autopilot's own checks before arming"),
         W("PLND_ENABLED", "1", (1, 1), "LAND comes down on the reported target", restart=True),
