@@ -22,9 +22,9 @@ from alight.parallax.recursive import RecursiveParallax
 from alight.pipeline.mapping.recursive_map import box_in
 from alight.records import ElevationMap, Flag, Heights, View
 from alight.settings import ParallaxSettings
-from alight.settings.tuning.parallax import ConsistencyTuning
+from alight.settings.tuning.parallax import UncertaintyTuning
 
-TUNING = ConsistencyTuning()
+TUNING = UncertaintyTuning()
 CELL = 0.2
 GRID = Grid(-5.9, 4.5, CELL, 46, 60)
 EAST, NORTH = np.meshgrid(*GRID.xy())
@@ -83,9 +83,7 @@ def test_only_what_is_common_to_one_instant_counts(together: bool) -> None:
     change = rng.normal(0, 0.3, (8, 64, 64)).astype(np.float32)
     if together:
         change[1::2] = change[::2]
-    share = witness.shared(
-        mean + change, np.arange(8).reshape(-1, 2), mean, np.full(mean.shape, 8, np.uint8), 5, TUNING
-    )
+    share = witness.shared(mean + change, np.arange(8).reshape(-1, 2), mean, np.full(mean.shape, 8, np.uint8), TUNING)
     assert (share > TUNING.most_shared).all() == together
     assert (share > 0.5 * TUNING.most_shared).any() == together
 
@@ -232,7 +230,7 @@ def known_before(residual: float, flags: int = 0) -> ElevationMap:
 def test_views_that_agree_on_nothing_contradict_the_map(kinds: list[int], found: bool) -> None:
     """Of four instants one may miss the map; two instants are too few to decide."""
     samples, _, _ = instants_of(kinds, 0.3)
-    out = witness.contradicted(samples, known_before(0.5), 5, TUNING)
+    out = witness.contradicted(samples, known_before(0.5), TUNING)
     assert out.wrong.all() == out.wrong.any() == found
     assert not out.came.any()
 
@@ -250,7 +248,7 @@ def test_views_that_agree_on_nothing_contradict_the_map(kinds: list[int], found:
 def test_somebody_has_come_where_views_agreed_before(kinds: list[int], residual: float, flags: int, came: bool) -> None:
     """The arrival is found before the map's height is contradicted."""
     samples, _, _ = instants_of(kinds, 0.1)
-    out = witness.contradicted(samples, known_before(residual, flags), 5, TUNING)
+    out = witness.contradicted(samples, known_before(residual, flags), TUNING)
     assert out.came.all() == out.came.any() == came
     assert not out.wrong.any()
 
@@ -260,7 +258,7 @@ def test_a_part_without_texture_or_views_contradicts_nothing() -> None:
     samples, _, _ = instants_of([0, 1, 2, 3, 4, 5])
     samples[:, :, :20] = np.random.default_rng(4).normal(0, 0.05, (len(samples), 48, 20))
     samples[4:, 24:] = np.nan
-    for out in witness.contradicted(samples, known_before(0.05), 5, TUNING):
+    for out in witness.contradicted(samples, known_before(0.05), TUNING):
         assert out[:16, 32:].all()
         assert not out[:, :8].any()
         assert not out[40:].any()

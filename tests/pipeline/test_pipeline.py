@@ -310,7 +310,7 @@ def test_a_place_that_is_asked_about_is_judged_though_the_newest_keyframe_does_n
     _, there = verdicts
     r, c = (int(np.rint(v)) for v in there.hazards.grid.index(place[0], place[1]))
     assert np.isfinite(there.elevation.height[r - 5 : r + 6, c - 5 : c + 6]).any()
-    assert there.elevation.grid.east <= place[0] - settings.stages().mapping.judged_about + 0.5
+    assert there.elevation.grid.east <= place[0] - settings.stages().sites.lowest_look + 0.5
 
 
 def test_a_map_is_judged_when_the_need_calls_for_it_and_the_lane_is_free() -> None:

@@ -102,7 +102,7 @@ class _Choice:
         allowed = allowed & keeps_margin(clearance, settings.margin) & np.isfinite(hazards.quality)
         room = np.minimum(clearance / settings.roomy, 1.0)
         doubt = 1 - np.nan_to_num(hazards.p_safe).astype(np.float64)
-        score = hazards.quality + settings.room_weight * room - settings.doubt_weight * doubt
+        score = hazards.quality + room - settings.doubt_weight * doubt
         if self.observer is not None and settings.distance_weight > 0:
             east, north = hazards.grid.xy()
             vehicle = self.observer.position

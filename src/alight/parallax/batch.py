@@ -24,7 +24,6 @@ from alight.parallax.views import Kept, Prepared, centres_of, choose_views, colo
 from alight.raster import upsample
 from alight.records import Heights, View
 from alight.settings import ParallaxSettings
-from alight.settings.tuning.parallax import ConsistencyTuning
 
 MOST_BYTES = 400_000_000  # bytes of prepared views that stay in memory
 LEAST_KEPT = 16  # prepared views that stay in memory, however large
@@ -102,7 +101,7 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     ground = min(max(float(np.median(images.heights[chosen])), low), high)
     views = [images.views[i] for i in chosen]
     few, of = (
-        choose_views(views, grid, 0.5 * (low + high), n, plan.max_tangent) for n in (plan.views, plan.references)
+        choose_views(views, grid, 0.5 * (low + high), n, plan.max_tangent) for n in (settings.ring, plan.references)
     )
     across = float(np.median([min(p.camera.width, p.camera.height) / p.ratio for p in fine]))
     halvings = sum(across >= LEAST_ACROSS << k for k in range(1, plan.halvings + 1))
@@ -116,24 +115,27 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     seen = refine.view_geometry(fine, grid, start, ground)
     centres, whole = centres_of(fine), (slice(0, grid.rows), slice(0, grid.cols))
     skyline = refine.Skyline.of(start, grid, centres)
-    visible = skyline.visible(centres, whole, seen.metres_per_px, settings.refinement.occlusion_px)
+    visible = skyline.visible(centres, whole, seen.metres_per_px, settings.uncertainty.step_px)
     fit = refine.gauss_newton(fine, grid, start, seen.metres_per_px, visible, settings.refinement)
     rgb = colour(views, fine, fit, visible)
     ratio = trust.half_resolution(np.where(np.isnan(ratio), np.float32(1), ratio))
     heights = trust.judged(fit, ratio, fine, (low, high), seen.sampling, rgb, settings.uncertainty)
-    flags = heights.flags | _moves(images, chosen, fit, settings.consistency)
+    flags = heights.flags | _moves(images, chosen, fit, settings)
     return MatchedBlock(replace(heights, flags=flags), np.array(chosen, np.int64))
 
 
-def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, tuning: ConsistencyTuning) -> U16:
-    """Return (R, C) MOVING flags at the heights of `fit` from pairs of synchronous views, at least one in `chosen`."""
+def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, settings: ParallaxSettings) -> U16:
+    """Return (R, C) MOVING flags at the heights of `fit` from pairs of synchronous views, at least one in `chosen`.
+
+    There are at most as many pairs as a sweep has views.
+    """
     pairs = witness.instants(images.views)
     some = pairs[np.isin(pairs, chosen).any(axis=1)]
-    some = some[np.unique(np.linspace(0, len(some) - 1, min(tuning.pairs, len(some))).astype(int))]
+    some = some[np.unique(np.linspace(0, len(some) - 1, min(settings.ring, len(some))).astype(int))]
     if not len(some):
         return np.zeros(fit.grid.shape, np.uint16)
     samples = stack([images.get(int(i)) for i in some.ravel()], fit.grid, fit.height)
-    return witness.moving(samples, np.arange(some.size).reshape(-1, 2), fit, tuning.least_views, tuning)
+    return witness.moving(samples, np.arange(some.size).reshape(-1, 2), fit, settings.uncertainty)
 
 
 def colour(views: list[View], fine: list[Prepared], fit: refine.Fit, visible: U8) -> U8:

@@ -20,7 +20,7 @@ from alight.parallax.blocks import EFFORTS, Blocks, Effort, Plan
 from alight.parallax.plane_sweep import Swept, plane_count, sweep_unseen
 from alight.parallax.pose_refinement.alignment import Alignment
 from alight.parallax.views import Buffers, Kept
-from alight.parallax.window import APART, BESIDE, Window, first_of_twins
+from alight.parallax.window import APART, BESIDE, Window, first_of_twins, unswept
 from alight.raster import upsample
 from alight.records import ElevationMap, Heights, KeyframePosterior, View, is_trusted
 from alight.settings import ParallaxSettings
@@ -33,7 +33,7 @@ class RecursiveParallax:
         self._settings, self._tuning = settings, settings.recursive
         # one reference: cells that it does not see may wait for the next keyframe
         self._sweep_tuning = settings.sweep.model_copy(update={"references": 1})
-        self._unswept = self._unknown = np.float32(settings.recursive.unknown_ratio)
+        self._unswept = self._unknown = np.float32(unswept(settings))
         self._cell, self._ground = cell, ground
         self.kept = dict[int, list[Kept]]()  # views of each exposure, by its time in ns, oldest first
         self._ratio: tuple[Grid, F32] | None = None  # `Window.ratio` of the last step, on its grid; None: nothing swept
@@ -75,7 +75,8 @@ class RecursiveParallax:
         centres = np.array([exposure[0].view.centre for _, exposure in exposures])
         drop = max(centres[-1][2] - self._ground, 1e-2)
         away = np.linalg.norm(centres - centres[-1], axis=1) / drop
-        self.kept = dict(exposures[i] for i in spread_baselines(away, self._settings.ring, self._tuning.span))
+        span = 2 * self._settings.sweep.max_tangent  # from one side of a cell to the other
+        self.kept = dict(exposures[i] for i in spread_baselines(away, self._settings.ring, span))
         if poses is not None:
             self.alignment.update_posterior(poses, set(self.kept), drop)
 

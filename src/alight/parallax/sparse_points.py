@@ -35,13 +35,13 @@ class ViewFeatures(NamedTuple):
         grey = grey_levels(view.image)
         scale = min(1.0, tuning.longest_px / max(grey.shape))
         small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else grey
-        contrast, least = tuning.contrast, tuning.contrast * tuning.faint_share
+        contrast, grey_level = tuning.contrast, 1 / 255
         while True:  # faint features spoil the matches of strong ones: small pictures would lose heights
             sift = cv2.SIFT_create(tuning.features, contrastThreshold=contrast)  # type: ignore[attr-defined]
             found, descriptors = sift.detectAndCompute(small, None)
-            if len(found) >= tuning.enough_features or contrast <= least:
+            if len(found) >= tuning.enough_features or contrast / 2 < grey_level:
                 break
-            contrast = max(0.5 * contrast, least)
+            contrast /= 2
         pixels = (np.array([k.pt for k in found], dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
         rays = view.camera.rays(pixels) @ view.world_from_cam.rotation.T
         return cls(view.centre, rays / np.linalg.norm(rays, axis=1, keepdims=True), descriptors)

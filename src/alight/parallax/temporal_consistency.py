@@ -20,7 +20,7 @@ from alight.parallax import consistency_kernels as kernels
 from alight.parallax.gauss_newton import Fit
 from alight.raster import block_mean, upsample
 from alight.records import ElevationMap, Flag, View, is_trusted
-from alight.settings.tuning.parallax import ConsistencyTuning
+from alight.settings.tuning.parallax import UncertaintyTuning
 
 BLOCK = 8  # cells
 SIDE = 2  # instants that must show the ground before a change, and after it
@@ -36,7 +36,7 @@ def instants(views: Sequence[View]) -> I64:
     return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
-def shared(samples: F32, pairs: I64, mean: F32, seen: U8, least: int, tuning: ConsistencyTuning) -> F32:
+def shared(samples: F32, pairs: I64, mean: F32, seen: U8, tuning: UncertaintyTuning) -> F32:
     """Return the share of the variance that views of one instant have in common beyond the template (eq. 15a).
 
     Args:
@@ -44,7 +44,6 @@ def shared(samples: F32, pairs: I64, mean: F32, seen: U8, least: int, tuning: Co
         pairs: (K, 2) indices of synchronous views.
         mean: (R, C) template of all views.
         seen: (R, C) number of views that see the cell.
-        least: number of views that a cell needs.
 
     Returns:
         (R / BLOCK, C / BLOCK), rounded up; 0 where too few views see the block, negative where the deviations of paired
@@ -52,24 +51,24 @@ def shared(samples: F32, pairs: I64, mean: F32, seen: U8, least: int, tuning: Co
     """
     sums = np.empty((5, *(-(-n // BLOCK) for n in mean.shape)), np.float32)
     kernels.common(samples, pairs, mean, BLOCK, tuning.cut, sums)
-    both, own, count, square, known = (cv2.blur(s, (tuning.near_blocks, tuning.near_blocks)) for s in sums)
+    both, own, count, square, known = (cv2.blur(s, (tuning.near, tuning.near)) for s in sums)
     views = cv2.resize(seen, count.shape[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
-    enough = (count >= tuning.least_seen * BLOCK * BLOCK) & (views >= least)
+    enough = (count >= tuning.least_seen * BLOCK * BLOCK) & (views >= tuning.least_views)
     number, cells = np.where(enough, count, np.float32(1)), np.maximum(known, 1)
-    both /= (1 - 2 / np.maximum(views, least)) * number  # because a pair attracts the template
+    both /= (1 - 2 / np.maximum(views, tuning.least_views)) * number  # because a pair attracts the template
     return np.where(enough, both / np.maximum(own / number + square / cells, np.float32(1e-3)), np.float32(0))
 
 
-def moving(samples: F32, pairs: I64, fit: Fit, least: int, tuning: ConsistencyTuning) -> U16:
+def moving(samples: F32, pairs: I64, fit: Fit, tuning: UncertaintyTuning) -> U16:
     """Return (R, C) MOVING flags where synchronous views share a deviation from the template of `fit`; see `shared`."""
     if not len(pairs):
         return np.zeros(fit.grid.shape, np.uint16)
-    share = shared(samples, pairs, fit.mean, fit.seen, least, tuning)
+    share = shared(samples, pairs, fit.mean, fit.seen, tuning)
     bits = np.where(share > tuning.most_shared, np.uint16(Flag.MOVING), np.uint16(0))
     return upsample(bits, BLOCK, fit.grid.shape)
 
 
-def changed_since(samples: F32, pairs: I64, times: I64, tuning: ConsistencyTuning) -> Mask:
+def changed_since(samples: F32, pairs: I64, times: I64, tuning: UncertaintyTuning) -> Mask:
     """Return a mask (R, C) of ground that looks different since some instant: somebody stopped there or left (eq. 16d).
 
     The views before that instant agree with each other, and so do the views after it. The larger group would pass for
@@ -98,14 +97,14 @@ class Contradicted(NamedTuple):
     came: Mask  # cells where the views agreed before, so that somebody has come since
 
 
-def contradicted(samples: F32, known: ElevationMap, least: int, tuning: ConsistencyTuning) -> Contradicted:
+def contradicted(samples: F32, known: ElevationMap, tuning: UncertaintyTuning) -> Contradicted:
     """Return masks of ground on which the views disagree, because somebody stands on it (eq. 16e).
 
     Still ground at the height of the map looks alike to all views. Swaying plants look different at all times, so a
     small disagreement counts only where the views agreed when the map got its height. `known` is the map before the
     step; the other arguments are as in `shared`.
     """
-    seen = np.isfinite(samples)
+    seen, least = np.isfinite(samples), tuning.least_views
     count, values = seen.sum(axis=0, dtype=np.float32), np.where(seen, samples, np.float32(0))
     square = np.einsum("nrc,nrc->rc", values, values)
     own = square - values.sum(axis=0) ** 2 / np.maximum(count, 1)

@@ -29,7 +29,7 @@ class Pooled:
 
     low: F32  # metres, lowest of 2 x 2 cells; the nearest known height where unknown
     high: F32  # metres, highest of 2 x 2 cells
-    lowest: F32  # metres, lowest of the cells within `step_cells`
+    lowest: F32  # metres, lowest of the cells nearby
     highest: F32  # metres, highest of these cells
     texture: F32  # variance of the template nearby: texture common to all views
     residual: F32  # share of the samples' variance that the views do not have in common, 0 to 1
@@ -53,7 +53,7 @@ def pooled(fit: Fit, tuning: UncertaintyTuning) -> Pooled:
     hidden2 = _hidden(mid, uneven, s2, per_px, sigma) + np.float32((sigma.floor_cells * fit.grid.cell) ** 2)
     # eq. 14 for 2 x 2 cells, for the evidence only; `kernels.height_sigma` has it for each height
     sigma2 = np.float32(sigma.fit) * fitted + hidden2 / (per_px * per_px)
-    near = np.ones((2 * tuning.step_cells + 1,) * 2, np.uint8)
+    near = np.ones((tuning.near, tuning.near), np.uint8)
     lowest, highest = cv2.erode(low, near), cv2.dilate(high, near)
     share = s2 / np.maximum(texture + s2, 1e-6)
     return Pooled(low, high, lowest, highest, texture, share, s2, hidden2, sigma2, per_px)
@@ -153,14 +153,14 @@ def judged(
     """
     grid = fit.grid
     seen = pooled(fit, tuning)
-    terms = match_evidence(seen, ratio, np.float32(grid.cell) / seen.metres_per_px, tuning.near_cells)
+    terms = match_evidence(seen, ratio, np.float32(grid.cell) / seen.metres_per_px, tuning.near)
     grey = brightness(lit, grid, np.float32(0.5) * (seen.low + seen.high))
     near = _bit(terms["residual"] > tuning.max_residual, Flag.MOVING)
     near |= _bit(terms["ambiguity"] > tuning.max_cost_ratio, Flag.AMBIGUOUS)
     near |= _bit((grey < 3) | (grey > 252), Flag.SATURATED)
     near |= _bit(np.maximum(terms["drop"], terms["rise"]) > tuning.step_px, Flag.STEP)
     near |= _bit(seen.texture + seen.noise < (tuning.min_contrast / NORM_FLOOR) ** 2, Flag.TEXTURE)
-    near |= _bit(outlier_probability(terms) > tuning.max_outlier, Flag.UNSURE)
+    near |= _bit(outlier_probability(terms) > 0.5, Flag.UNSURE)  # more likely wrong than right
     edge = 0.01 * (searched[1] - searched[0])
     sigma, residual, flags = (np.empty(grid.shape, t) for t in (np.float32, np.float32, np.uint16))
     # eq. 14 for each cell; `pooled` has it for 2 x 2 cells

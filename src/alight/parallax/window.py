@@ -23,8 +23,13 @@ from alight.settings import ParallaxSettings
 GAP = 4  # cells: a gap between heights that is narrower than twice this starts from them
 HALO = 8  # cells about a rectangle that are refined with it and discarded: no seams
 BESIDE = 0.02  # of the height: nearer cameras of one exposure have the same occlusions
-APART = 0.06  # of the height: nearer cameras see so much alike that a sweep needs only one of them
+APART = 0.06  # of the height: nearer cameras see so much alike that a sweep needs only one; seen from straight above
 ALIKE = 0.1  # largest angle between the axes of such cameras, rad, and relative difference of their focal lengths
+
+
+def unswept(settings: ParallaxSettings) -> float:
+    """Return the cost ratio of a cell that was not swept: half way to AMBIGUOUS."""
+    return settings.uncertainty.max_cost_ratio / 2
 
 
 class Refined(NamedTuple):
@@ -78,23 +83,21 @@ class Window:
         tuning = s.refinement.model_copy(update={"iterations": 1})
         first, owner = np.unique(self.nearly[chosen], return_inverse=True)
         centres = np.array([self.kept[i].fine.centre for i in first])
-        visible = skyline.visible(centres, where, per_px, tuning.occlusion_px)[owner]
+        visible = skyline.visible(centres, where, per_px, s.uncertainty.step_px)[owner]
         fit = refine.gauss_newton(fine, grid, h, per_px, visible, tuning, self.buffers)
         before = known = self.known.part(where)
         rgb = self._coloured(grid, fit.height, known, recolour)
-        cost = trust.half_resolution(
-            np.where(np.isnan(cost) | np.isnan(h), np.float32(s.recursive.unknown_ratio), cost)
-        )
+        cost = trust.half_resolution(np.where(np.isnan(cost) | np.isnan(h), np.float32(unswept(s)), cost))
         if (off := wrong[where]).any():
             known = replace(known, height=np.where(off, np.float32(np.nan), known.height))
         found = trust.judged(fit, cost, newest, self.searched, sampling, rgb, s.uncertainty)
         samples = self.buffers.get("samples", (len(fine), *grid.shape))  # filled by the fit
-        pairs, consistency = witness.instants([k.view for k in kept]), s.consistency
-        moves = witness.moving(samples, pairs, fit, consistency.least_views, consistency)
+        pairs = witness.instants([k.view for k in kept])
+        moves = witness.moving(samples, pairs, fit, s.uncertainty)
         found = fused(replace(found, flags=found.flags | moves), known, s.recursive.worse)
         times = np.array([k.view.t_ns for k in kept])
-        anew = witness.changed_since(samples, pairs, times, consistency)
-        doubt = witness.contradicted(samples, before, consistency.least_views, consistency)
+        anew = witness.changed_since(samples, pairs, times, s.uncertainty)
+        doubt = witness.contradicted(samples, before, s.uncertainty)
         anew |= (doubt.wrong | doubt.came) & is_trusted(found.flags)
         anew &= np.isfinite(found.height)
         found = replace(found, flags=found.flags | np.where(anew, np.uint16(Flag.MOVING), np.uint16(0)))
@@ -108,7 +111,7 @@ class Window:
         view, fine = self.kept[-1].view, self.kept[-1].fine
         out = known.rgb.copy()
         row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
-        k = self.settings.recursive.renew_below * self.drop / grid.cell
+        k = APART * self.drop / grid.cell
         under = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
         fresh = (np.isnan(known.height) | recolour) & np.isfinite(height)
         for where, only in ((box_of(fresh), fresh), (under, None)):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from alight.arrays import F32, F64, I64, Mask
 from alight.geometry import Grid, Pose, plane_on
 from alight.parallax.gauss_newton_kernels import template
+from alight.parallax.plane_sweep import ENOUGH
 from alight.parallax.pose_refinement import kernels
 from alight.parallax.pose_refinement.gaussian import PoseGaussian, corrected_poses, regress_on
 from alight.parallax.pose_refinement.kernels import PLANE, POSE
@@ -153,7 +154,7 @@ class Alignment:
         apparent = np.tile(np.repeat([pixel * drop, pixel], 3), len(bodies)) * tuning.apparent_px
         F = np.concatenate([np.zeros(PLANE), apparent]) ** 2
         A, seen, whitened = np.zeros_like(P), np.zeros_like(P), np.zeros(len(rows))
-        for halvings in _linearisations(prior, drop, cells.arm, tuning):
+        for halvings in _linearisations(prior, drop, cells.arm, self.settings.refinement.step_px):
             poses = corrected_poses(bodies, x)
             views = [k.halved(halvings).posed(self._camera_of(k, poses)) for k in kept]
             ground = cells.coarser() if halvings else cells
@@ -187,7 +188,7 @@ class Alignment:
         seen = ((flags & np.uint16(Flag.UNSEEN)) == 0) & ~other
         ok = np.isfinite(height) & ((flags & np.uint16(REFUSED | Flag.STEP)) == 0) & seen
         self.mapped = self.mapped or bool(ok.any())
-        free = (self.tuning.free if self.mapped else self.tuning.flat) * drop
+        free = (self.tuning.hold if self.mapped else self.settings.points.like_height) * drop
         level = np.float32(np.median(height[ok]) if ok.any() else ground)
         kappa = np.where(ok, 1 / (self.tuning.hold * np.maximum(np.nan_to_num(sigma, nan=1.0), 1e-3)) ** 2, 1 / free**2)
         height = np.where(ok, height, np.where(seen, np.float32(np.nan), level))
@@ -210,16 +211,17 @@ class Alignment:
         return Datum(east, north, covariance)
 
 
-def _linearisations(state: PoseGaussian, drop: float, cell: float, tuning: PoseRefinementTuning) -> tuple[int, ...]:
+def _linearisations(state: PoseGaussian, drop: float, cell: float, most: float) -> tuple[int, ...]:
     """Return how often pictures are halved at each linearisation: (0,), or several if the newest pose is uncertain.
 
-    `drop`: height of the camera above the ground, metres. `cell`: cell size, metres.
+    `drop`: height of the camera above the ground, metres. `cell`: cell size, metres. `most`: largest 1-sigma of the
+    newest view on the ground, cells, for which the full images suffice.
     """
     P, n = state.covariance, len(state.covariance) - POSE
     own = np.diag(P[n:, n:] - regress_on(P[:n, :n], P[:n, n:]) @ P[:n, n:])  # given all other exposures
     v = np.maximum(own, 0.0)
     sigma = float(np.sqrt(0.5 * (v[0] + v[1]) + 0.5 * (v[3] + v[4]) * drop**2)) / cell  # on the ground
-    if sigma > tuning.far_cells:
+    if sigma > most:
         return 1, 1, 0, 0
     return (0,)
 
@@ -281,6 +283,6 @@ def _precision(samples: F32, weights: F32, mean: F32, tuning: PoseRefinementTuni
     """Return the (N,) inverse variance of each view's samples (N, R, C) about the template `mean`; 0 if too few."""
     e = np.where(weights > 0, samples - mean, np.float32(0))
     total = weights.sum(axis=(1, 2), dtype=np.float64)
-    enough = (weights > 0).sum(axis=(1, 2)) >= tuning.least_cells
+    enough = (weights > 0).sum(axis=(1, 2)) >= ENOUGH
     variance = (weights * e * e).sum(axis=(1, 2), dtype=np.float64) / np.maximum(total, 1e-9)
     return np.asarray(np.where(enough, 1.0 / (tuning.correlated * np.maximum(variance, 1e-4)), 0.0))

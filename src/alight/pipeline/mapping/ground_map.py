@@ -13,6 +13,7 @@ import numpy as np
 from alight.arrays import F64, Mask
 from alight.elevation import TiledElevation, TileStore
 from alight.geometry import Box, Grid
+from alight.parallax.plane_sweep import ENOUGH
 from alight.parallax.sparse_points import NO_POINTS, find_points, height_range, supported
 from alight.parallax.views import ground_sampling
 from alight.pipeline.mapping.keyframes import looking_down
@@ -128,7 +129,7 @@ class GroundMap:
         else:
             points = supported(points, float(np.median([v.centre[2] for v in down])), tuning)
         below = points[points[:, 2] < max(v.centre[2] for v in down)]
-        if len(below) < self.settings.mapping.least_points:
+        if len(below) < ENOUGH:
             self.reason = NO_PARALLAX
             return False
         centres = np.array([v.centre for v in down])

@@ -31,7 +31,7 @@ def is_keyframe(
     step = first_step
     if ground is not None:
         above = motion.world_from_body.translation[2] - ground
-        step = settings.parallax.keyframe_baseline * max(above, 1.0)
+        step = settings.parallax.points.least_angle * max(above, 1.0)
     moved = motion.world_from_cams[0].translation - last.world_from_cams[0].translation
     return bool(np.linalg.norm(moved) >= step)
 

@@ -91,7 +91,8 @@ class RecursiveMap(GroundMap):
             return False
         newest = down[0]
         here = self.ground if self.ground_here is None else self.ground_here
-        self.ground_here = min(here, float(newest.centre[2]) - self.settings.mapping.least_height)
+        least = self.settings.executive.abort_height  # below it, no finer map can stop a landing
+        self.ground_here = min(here, float(newest.centre[2]) - least)
         self.level = self.level_of(newest, self.ground_here, self.level)
         cell = self.elevation.cell_at(self.level)
         if self.estimator is None:
@@ -160,7 +161,7 @@ class RecursiveMap(GroundMap):
             return None
         low, high = bounds(views, self.ground_here)
         if about is not None:
-            reach = self.settings.mapping.judged_about
+            reach = self.settings.sites.lowest_look  # metres that a look from there shows to each side
             low, high = np.minimum(low, about - reach), np.maximum(high, about + reach)
         here = self.elevation.cell_at(self.level)
         level = self.level + doublings_up_to(here, self.settings.lander.judging_cell)
@@ -204,14 +205,15 @@ class RecursiveMapper:
         self, rig: Rig, settings: StageSettings, tile_store: TileStore | None, timings: Timings, history: bool,
         anew: Collection[int] = (),
     ) -> None:  # fmt: skip
-        self._rig, self._settings, self._tuning, self._timings = rig, settings, settings.mapping, timings
+        self._rig, self._settings, self._timings = rig, settings, timings
+        self._few = 2 * settings.mapping.find_every  # keyframes in which the ground is sought: those of two searches
         self._tile_store, self._anew = tile_store, frozenset(anew)
-        self._most = settings.mapping.kept_to_look if history else settings.mapping.kept_by_ring
+        self._most = settings.mapping.kept_to_look if history else self._few
         self._begin()
 
     def _begin(self) -> None:
         self._map = RecursiveMap(self._settings, self._tile_store)
-        self.store, self._first_step = FrameStore(), self._tuning.first_step
+        self.store, self._first_step = FrameStore(), self._settings.mapping.first_step
         self._newest: Navigation | None = None  # newest keyframe
         self._frame: MapFrame | None = None  # frame of the map, from the newest exposure
         self._newest_ns = -(1 << 62)  # time of the newest exposure
@@ -260,15 +262,16 @@ class RecursiveMapper:
 
     def _grow(self, navigation: Navigation, effort: int) -> int:
         """Find the ground, or improve the map with the newest keyframe; return the number of steps."""
-        due = self.store.taken % self._tuning.find_every == 0
+        due = self.store.taken % self._settings.mapping.find_every == 0
+        least = self._settings.parallax.recursive.first_baseline
         if self._map.ground is not None:
             steps = self._advance(self.store.keyframes[-1:], navigation, effort)
             if self._map.out_of_range and due:
-                self._map.find_ground_again(self._views_now(), self._tuning.find_baseline)
+                self._map.find_ground_again(self._views_now(), least)
             return steps
-        if due and self._map.find_ground(self._views_now(), self._tuning.find_baseline):
+        if due and self._map.find_ground(self._views_now(), least):
             return self._advance(self.store.keyframes, navigation, effort)
-        if len(self.store.keyframes) >= self._tuning.kept_by_ring:  # height and required baseline are unknown
+        if len(self.store.keyframes) >= self._few:  # height and required baseline are unknown
             self.store.thin()
             self._first_step *= 2
         return 0
@@ -286,7 +289,7 @@ class RecursiveMapper:
         """Return the `most` newest keyframes (None: as many as the window holds) as views, with their newest poses."""
         known = self._newest.posterior if self._newest is not None else None
         newer = {m.t_ns: m for m in known.motions} if known is not None else None
-        return views_of(self.store.keyframes[-(most or self._tuning.kept_by_ring) :], self._rig, newer)
+        return views_of(self.store.keyframes[-(most or self._few) :], self._rig, newer)
 
     def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
         """Return the present map under the newest keyframe and around `about`; None if there is no map."""

@@ -11,11 +11,10 @@ class MappingTuning(FrozenModel):
     """Constants for keyframes, the search for the ground, the cell size, and limits of published heights."""
 
     first_step: Positive = Field(0.25, description="Distance of keyframes before the height above ground is known, m")
-    find_every: int = Field(8, ge=1, description="Keyframes from one search for the ground to the next")
-    find_baseline: Positive = Field(0.08, description="Baseline over height that this search needs in flight")
-    kept_by_ring: int = Field(16, ge=3, description="Keyframes kept to find the ground in flight")
+    find_every: int = Field(
+        8, ge=2, description="Keyframes from one search for the ground to the next; in flight it uses those of two"
+    )
     kept_to_look: int = Field(64, ge=3, description="Keyframes whose images are kept for pixels finer than the heights")
-    least_points: int = Field(20, ge=1, description="Least number of triangulated points that show the ground")
     least_known: int = Field(
         400,
         ge=1,
@@ -32,8 +31,6 @@ class MappingTuning(FrozenModel):
     )
     least_given: Fraction = Field(0.25, description="Least share of neighbours given out with a height; below: UNSURE")
     given_cells: int = Field(41, ge=1, description="Window of these neighbours, cells")
-    judged_about: Positive = Field(8.0, description="Ground about a place in question that is judged with it, m")
-    least_height: Positive = Field(1.0, description="Least height of the camera above the mapped ground, m")
 
 
 class ElevationTuning(FrozenModel):

@@ -13,25 +13,27 @@ class PointsTuning(FrozenModel):
     """Constants for points that are triangulated before the ground is known."""
 
     features: int = Field(1500, ge=100, description="SIFT features in each view")
-    contrast: Positive = Field(0.04, description="Least contrast of a feature, as OpenCV's SIFT counts it")
-    faint_share: Fraction = Field(0.125, description="Share of it that will do where a view has too few features")
+    contrast: Positive = Field(
+        0.04, description="Least contrast of a SIFT feature by OpenCV; halved while a view has few, to a grey level"
+    )
     enough_features: int = Field(300, ge=2, description="Features in a view from which no fainter ones are sought")
     longest_px: int = Field(960, ge=100, description="Longest side of the images on which features are found, px")
-    least_angle: Positive = Field(0.02, description="Least angle between the rays of a point, rad")
+    least_angle: Positive = Field(
+        0.02, description="Least angle between the rays of a point, rad, and baseline of two keyframes over the height"
+    )
     most_pairs: int = Field(40, ge=1, description="Most pairs of views")
     descriptor_ratio: Fraction = Field(0.8, description="Largest ratio of best to second-best descriptor distance")
     neighbours: int = Field(8, ge=1, description="Nearest points over the ground that must agree on the height")
     supporters: int = Field(2, ge=0, description="Least number of these neighbours at a like height")
-    like_height: Positive = Field(0.05, description="Difference of like heights over the height above ground")
+    like_height: Positive = Field(
+        0.05, description="Difference of like heights, or 1-sigma of them before there is a map, over the height"
+    )
 
 
 class SweepTuning(FrozenModel):
     """Constants of the plane sweep along the rays of a view, with semi-global aggregation."""
 
-    references: int = Field(
-        2, ge=1, description="Views along whose rays a tile, or what was not seen yet, is swept (batch)"
-    )
-    views: int = Field(7, ge=2, description="Most views of such a sweep (batch)")
+    references: int = Field(2, ge=1, description="Views along whose rays a tile is swept, or what was not seen (batch)")
     max_tangent: Positive = Field(0.4, description="Horizontal over vertical distance of a preferred view (batch)")
     keep_share: Fraction = Field(0.7, description="Share of the views of a cell that has to agree on a plane")
     truncation: Positive = Field(1.5, description="Largest matching cost of a view, normalised grey")
@@ -51,35 +53,30 @@ class RefinementTuning(FrozenModel):
     residual_scale: Positive = Field(
         0.35, description="Scale of the robust weight, normalised grey; from four times this the weight is 0"
     )
-    occlusion_px: Positive = Field(3.0, description="Height above a ray from which the map hides a cell, parallax px")
-    step_px: Positive = Field(0.5, description="Largest step, parallax px of the widest baseline")
+    step_px: Positive = Field(
+        0.5,
+        description="Largest step, parallax px; sigma of the newest view from which coarse images come first, cells",
+    )
     plane_prior: Positive = Field(
         4500.0, description="Weight of the local plane: one over its variance, 1 / parallax px^2"
     )
 
 
 class UncertaintyTuning(FrozenModel):
-    """Constants of the height flags; the models of sigma and wrong matches are fitted (`alight.learned`)."""
+    """Constants of the height flags and of moving ground; sigma and wrong matches are fitted (`alight.learned`)."""
 
     min_contrast: Positive = Field(0.7, description="Least contrast of the views, grey levels; below: TEXTURE")
     max_residual: Fraction = Field(
         0.5, description="Largest share of the variance nearby that the views do not have in common; above: MOVING"
     )
     max_cost_ratio: Positive = Field(
-        1.2, description="Largest mean ratio of best to second-best cost nearby; above: AMBIGUOUS"
+        1.2,
+        description="Largest mean ratio of best to second-best cost nearby; above: AMBIGUOUS. Half of it: not swept",
     )
     step_px: Positive = Field(
-        4.0, description="Height difference to a neighbour from which a cell is a STEP, parallax px"
+        4.0, description="Difference to a neighbour from which a cell is a STEP, or hides what is behind, parallax px"
     )
-    step_cells: int = Field(2, ge=1, description="Reach of the neighbours across a step, cells of half resolution")
-    near_cells: int = Field(5, ge=1, description="Window of what is nearby, cells of half resolution")
-    max_outlier: Fraction = Field(0.45, description="Largest probability of a wrong match; above: UNSURE")
-
-
-class ConsistencyTuning(FrozenModel):
-    """Constants for detecting moving ground by cameras that expose at the same instant."""
-
-    near_blocks: int = Field(5, ge=1, description="Window of the sums, blocks")
+    near: int = Field(5, ge=1, description="Window of what is nearby, cells of half resolution or blocks of sums")
     cut: Positive = Field(0.55, description="Deviation from which a view sees something else, normalised grey")
     most_shared: Fraction = Field(
         0.05, description="Largest share of the variance that the views of an instant have in common; above: MOVING"
@@ -101,17 +98,16 @@ class ConsistencyTuning(FrozenModel):
     )
     least_seen: Fraction = Field(0.25, description="Least share of the cells of a block that a pair sees")
     least_views: int = Field(5, ge=2, description="Least number of views of a cell")
-    pairs: int = Field(6, ge=1, description="Most pairs of views of one instant (batch)")
 
 
 class RecursiveTuning(FrozenModel):
     """Constants for heights that are updated from keyframe to keyframe."""
 
-    first_baseline: Positive = Field(0.12, description="Baseline over height from which a new cell is swept")
+    first_baseline: Positive = Field(
+        0.12, description="Baseline over height from which the ground is sought in flight, and a new cell is swept"
+    )
     first_views: int = Field(3, ge=2, description="Least number of views of that sweep")
     first_exposures: int = Field(4, ge=3, description="Exposures that a sweep uses")
-    span: Positive = Field(0.8, description="Baseline over height from which the window drops a keyframe")
-    unknown_ratio: Positive = Field(0.6, description="Ratio of best to second-best cost of a cell that was not swept")
     worse: Positive = Field(1.5, description="Ratio of new to old sigma from which a step leaves the map as it is")
     same_px: Positive = Field(
         2.0, description="Difference of sweep and map, less their common shift, that keeps the map's shape, parallax px"
@@ -134,9 +130,6 @@ class RecursiveTuning(FrozenModel):
     unsettled: Fraction = Field(
         0.1, description="Share of heights replaced, newly trusted or refused from which a block is new again"
     )
-    renew_below: NonNegative = Field(
-        0.06, description="Horizontal over vertical distance within which the newest view renews the colour"
-    )
 
 
 class PoseRefinementTuning(FrozenModel):
@@ -144,17 +137,13 @@ class PoseRefinementTuning(FrozenModel):
 
     cells: int = Field(1500, ge=100, description="Cells that take part")
     taken_share: Fraction = Field(0.5, description="Share of the heights that a step takes from its own views (eq. 16)")
-    least_cells: int = Field(40, ge=1, description="Least number of cells that a view shares with others")
     correlated: Positive = Field(4.0, description="Inflation of the variance: samples of neighbours are correlated")
     unlikely: Positive = Field(
         6.0, description="Squared error over its covariance, per degree of freedom, from which a step is refused"
     )
     apparent_px: NonNegative = Field(0.03, description="1-sigma of the common error of a whole image, px")
-    hold: Positive = Field(10.0, description="Sigmas of a cell by which its height is held to the map")
-    free: Positive = Field(10.0, description="1-sigma of the height of an unknown cell over the height above ground")
-    flat: Positive = Field(0.05, description="The same before there is a map")
-    far_cells: Positive = Field(
-        0.5, description="1-sigma of the newest view on the ground from which coarse images come first, cells"
+    hold: Positive = Field(
+        10.0, description="Sigmas of a cell (of an unknown one, the height) by which its height is held to the map"
     )
     plane_sigma: Triple = Field(
         (0.1, 0.1, 0.1),
@@ -170,12 +159,10 @@ class ParallaxTuning(FrozenModel):
     """Constants of planar parallax on the world grid."""
 
     views: int = Field(16, ge=2, le=32, description="Most views that a cell uses (batch)")
-    ring: int = Field(7, ge=3, le=16, description="Keyframes of the window (recursive)")
-    keyframe_baseline: Positive = Field(0.02, description="Baseline between keyframes over the height above ground")
+    ring: int = Field(7, ge=3, le=16, description="Keyframes of the window (recursive), most views of a sweep (batch)")
     points: PointsTuning = PointsTuning()
     sweep: SweepTuning = SweepTuning()
     refinement: RefinementTuning = RefinementTuning()
     uncertainty: UncertaintyTuning = UncertaintyTuning()
-    consistency: ConsistencyTuning = ConsistencyTuning()
     recursive: RecursiveTuning = RecursiveTuning()
     poses: PoseRefinementTuning = PoseRefinementTuning()

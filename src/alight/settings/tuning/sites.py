@@ -10,14 +10,17 @@ from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 class SitesTuning(FrozenModel):
     """Constants for the selection of sites."""
 
-    roomy: Positive = Field(5.0, description="Clearance beyond which more adds nothing to the score, m")
-    room_weight: NonNegative = Field(1.0, description="Weight of the clearance against the quality Q")
+    roomy: Positive = Field(
+        5.0, description="Clearance that adds 1 to the score, and beyond which more adds nothing, m"
+    )
     doubt_weight: NonNegative = Field(20.0, description="Weight of 1 - P(safe) against the quality Q")
     chance_step: Positive = Field(0.02, description="Candidates whose P(safe) is in one step of it are ranked by Q")
     look_base: Fraction = Field(
         0.12, description="Distance of a next view by one camera from the place, over its height"
     )
-    lowest_look: Positive = Field(8.0, description="Least height of a next view above the ground, m")
+    lowest_look: Positive = Field(
+        8.0, description="Least height of a next view, and ground about a place in question that is judged with it, m"
+    )
 
 
 class RouteTuning(FrozenModel):
