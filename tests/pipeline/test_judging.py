@@ -99,7 +99,7 @@ def test_land_cover_is_found_on_cells_that_fit_its_evidence_and_given_on_those_o
     ("missing", "key", "words"),
     [
         (MissingVeto.SECOND_CAMERA, "one_camera_hazard", "one camera sees the ground"),
-        (MissingVeto.ATTITUDE, "no_attitude_hazard", "attitude was measured neither"),
+        (MissingVeto.ATTITUDE, "unchecked_hazard", "attitude was measured neither"),
     ],
 )
 def test_a_missing_second_camera_or_attitude_is_warned_of_and_p_pays_for_it(
@@ -136,7 +136,9 @@ def test_grey_pictures_are_warned_of_and_p_pays_for_them() -> None:
     )
     judged = np.isfinite(without)
     assert judged.any()
-    np.testing.assert_allclose(without[judged] / with_colour[judged], np.exp(-stages.hazards.grey_hazard), rtol=1e-4)
+    np.testing.assert_allclose(
+        without[judged] / with_colour[judged], np.exp(-stages.hazards.unchecked_hazard), rtol=1e-4
+    )
     frame = MapFrame(0, np.zeros(3), np.eye(3))
     verdict = Verdict(grey, cover, hazards(), Sites((), "fog"), frame)
     assert "the pictures are grey" in verdict.warnings[0]

@@ -130,18 +130,16 @@ def with_floors(
 def _unrefused(on: Inputs, missing: MissingVeto) -> float:
     """Return the expected hazards of every footprint due to missing vetoes."""
     settings, cover = on.settings, on.land_cover
-    grey = settings.grey_hazard if cover is not None and not cover.coloured else 0.0
+    grey = settings.unchecked_hazard if cover is not None and not cover.coloured else 0.0
     alone = settings.one_camera_hazard if MissingVeto.SECOND_CAMERA in missing else 0.0
-    return grey + alone + (settings.no_attitude_hazard if MissingVeto.ATTITUDE in missing else 0.0)
+    return grey + alone + (settings.unchecked_hazard if MissingVeto.ATTITUDE in missing else 0.0)
 
 
 def _density(on: Inputs, discs: Discs) -> F32:
     """Return the prior density of obstacles by land-cover class, 1/m^2, before any observation."""
     settings, cover = on.settings, on.land_cover
-    usual = {
-        Terrain.BARE: settings.unseen_bare, Terrain.SHORT_GRASS: settings.unseen_grass,
-        Terrain.PAVED: settings.unseen_paved,
-    }  # fmt: skip
+    bare, paved = settings.unseen_bare, settings.unseen_paved
+    usual = {Terrain.BARE: bare, Terrain.SHORT_GRASS: bare, Terrain.PAVED: paved}
     out = np.full(on.elevation.grid.shape, settings.unseen_unknown, np.float32)
     if cover is not None and cover.coloured:  # grey pictures do not distinguish classes of open ground
         for kind, density in usual.items():

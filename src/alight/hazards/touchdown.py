@@ -310,7 +310,7 @@ def measured_height(elevation: ElevationMap, lander: Lander, settings: HazardsSe
     middle = np.float32(np.median(elevation.height[known]))
     about = _about(elevation.height - middle, known, 0.5 / elevation.grid.cell) + middle
     off = elevation.height - about
-    vague &= ~(np.abs(off) > np.float32(settings.stands_out) * elevation.sigma)
+    vague &= ~(np.abs(off) > np.float32(settings.surely_sigmas) * elevation.sigma)
     above = np.abs(off) - elevation.sigma
     least = np.where(above > 0, about + np.copysign(above, off), np.float32(np.nan))
     return np.where(vague, least, elevation.height)

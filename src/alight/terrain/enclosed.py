@@ -106,13 +106,13 @@ def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, set
     slope = float(np.hypot(plane[1], plane[2]))
     uneven = float(np.sqrt(np.mean((bed[rows, cols] - terms @ plane) ** 2)))
     r, c = np.nonzero(_rim(part) & np.isfinite(ground))
-    if len(r) < settings.water_rim_blocks:
+    if len(r) * block**2 < settings.water_area:  # too little of the rim was seen
         return 0.0
     above = ground[r, c] - np.column_stack([np.ones(len(r)), c * block, r * block]) @ plane
     higher = float((above > settings.water_bank).mean())
     level = 1 - float(linear_ramp(np.array([slope - 2 * tilt], np.float32), *settings.water_level)[0])
     even = 1 - float(linear_ramp(np.array([uneven], np.float32), *settings.water_even)[0])
-    return level * even * float(linear_ramp(np.array([higher], np.float32), *settings.water_rim)[0])
+    return level * even * float(linear_ramp(np.array([higher], np.float32), *settings.rim)[0])
 
 
 def _height_over_rim(part: Mask, ground: F32, settings: TerrainSettings) -> float:
@@ -122,7 +122,7 @@ def _height_over_rim(part: Mask, ground: F32, settings: TerrainSettings) -> floa
     """
     rim = ground[_rim(part, ABOUT)]
     seen = np.isfinite(rim)
-    if seen.sum() < max(settings.water_rim_blocks, 0.5 * rim.size):
+    if seen.sum() < 0.5 * rim.size:
         return 0.0
-    lower = float((float(np.nanmedian(ground[part])) - rim[seen] > settings.roof_drop).mean())
-    return float(linear_ramp(np.array([lower], np.float32), *settings.roof_rim)[0])
+    lower = float((float(np.nanmedian(ground[part])) - rim[seen] > settings.tall).mean())
+    return float(linear_ramp(np.array([lower], np.float32), *settings.rim)[0])

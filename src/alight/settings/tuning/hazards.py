@@ -55,9 +55,8 @@ class HazardsTuning(FrozenModel):
     )
     hidden_hazard: Fraction = Field(0.25, description="Probability that a footprint that was never seen hides a hazard")
     unseen_bare: NonNegative = Field(
-        0.03, description="Obstacles above the limit that bare ground may have unseen, before it was looked at, 1/m^2"
+        0.03, description="Obstacles above the limit that bare ground and short grass may have unseen at first, 1/m^2"
     )
-    unseen_grass: NonNegative = Field(0.03, description="The same of short grass, 1/m^2")
     unseen_paved: NonNegative = Field(0.015, description="The same of paved ground, 1/m^2")
     unseen_unknown: NonNegative = Field(0.06, description="The same where the kind of ground is not known, 1/m^2")
     enclosed_hazard: NonNegative = Field(
@@ -66,26 +65,23 @@ class HazardsTuning(FrozenModel):
     novel_hazard: NonNegative = Field(
         0.3, description="Hazards expected for every limit by which ground is more unlike all known ground than usual"
     )
-    grey_hazard: NonNegative = Field(
+    unchecked_hazard: NonNegative = Field(
         0.02,
-        description="Hazards expected of a footprint of which only grey pictures are known: no colour can refuse it",
+        description="Hazards expected of a footprint that no colour can refuse, in grey pictures, or if no measured "
+        "attitude shows whether the map is level",
     )
     one_camera_hazard: NonNegative = Field(
         0.01, description="The same where one camera sees the ground: no second one shows what moves"
     )
-    no_attitude_hazard: NonNegative = Field(
-        0.02, description="The same where no attitude was measured: nothing shows whether the map is level"
-    )
     clearly_sigmas: NonNegative = Field(
         2.0, description="Sigmas by which averaged heights must exceed the limit of roughness to be refused at once"
     )
-    surely_sigmas: NonNegative = Field(4.0, description="The same for single heights, sigmas")
+    surely_sigmas: NonNegative = Field(
+        4.0, description="The same for single heights; a vague one that stands out by as many counts in full"
+    )
     vague: Positive = Field(
         1.5,
         description="Sigma over the limit of roughness from which a height is lowered by one sigma towards the ground",
-    )
-    stands_out: Positive = Field(
-        3.0, description="Sigmas from the trusted ground about it, beyond which it counts in full all the same"
     )
     even_length: Vehicle = Field(0.2, description="1-sigma of the window of averaged heights, m")
     broad_length: Vehicle = Field(0.45, description="1-sigma of the window of broadly averaged heights, m")

@@ -26,7 +26,9 @@ class TerrainTuning(FrozenModel):
     )
     basin_odds: Positive = Field(4.0, description="Log odds given to standing water that the shape alone shows")
     leafy: Positive = Field(0.09, description="Excess green from which a surface is plants")
-    tall: Positive = Field(1.5, description="Height above the ground from which plants are a tree, m")
+    tall: Positive = Field(
+        1.5, description="Height above the ground from which plants are a tree, and a roof is one, m"
+    )
     beside_tall: Fraction = Field(
         0.27, description="Largest probability of landable ground within the safety distance around tall objects"
     )
@@ -34,17 +36,15 @@ class TerrainTuning(FrozenModel):
         0.2, description="Least share of a patch that looks like water and is water on its own evidence"
     )
     water_slope: Positive = Field(0.04, description="Steepest slope over 1.5 m that the surface of water seems to have")
-    water_area: Positive = Field(10.0, description="Least area of a level surface that may be water, m^2")
+    water_area: Positive = Field(
+        10.0, description="Least area of a level surface that may be water, and of its rim that is seen, m^2"
+    )
     water_bank: Positive = Field(0.12, description="Height above a level surface from which its rim is a bank, m")
-    water_rim_blocks: int = Field(12, ge=1, description="Fewest blocks of the rim that must be seen")
-    water_rim: tuple[float, float] = Field(
-        (0.5, 0.8), description="Shares of the rim that are bank, at which a surface is not and is enclosed"
+    rim: tuple[float, float] = Field(
+        (0.5, 0.8),
+        description="Shares of the rim that are bank, or lower, at which a surface is not and is water, or a roof",
     )
     roof_area: tuple[float, float] = Field((6.0, 2000.0), description="Least and largest area of a flat roof, m^2")
-    roof_drop: Positive = Field(1.5, description="Height of a flat roof over the ground about it, m")
-    roof_rim: tuple[float, float] = Field(
-        (0.5, 0.7), description="Shares of the rim that lie lower by that, at which a surface is none and is a roof"
-    )
     water_level: tuple[float, float] = Field(
         (0.006, 0.015),
         description="Slopes of a whole surface, beyond the tilt of the map, at which it is and is not level",
