@@ -120,7 +120,7 @@ class PointFlight:
         turn = turn + rng.normal(size=p.shape) * n.nav_attitude_white
         v = self._velocity(t) + _drift(rng, t, np.full(3, sigma_v), n.nav_velocity_tau)
         v = v + rng.normal(size=p.shape) * n.nav_velocity_white
-        rate = self._rates(t) + rng.normal(size=p.shape) * n.nav_rate_white
+        rate = self._rates(t) + rng.normal(size=p.shape) * n.gyro_bias_sigma
         back, turns = so3_exp(self.mounting).T, _turns(turn)
         return [
             NavSample(

@@ -276,7 +276,7 @@ def test_preintegration_is_that_of_numpy() -> None:
         B[:3, :3] = (np.eye(3) - W / 2 + W @ W / 6) * t
         B[3:6, :3], B[6:, :3], B[3:6, 3:], B[6:, 3:] = force * t / 2, force * t * t / 4, middle * t, middle * t * t / 2
         gap = interval > 0.05
-        wandered = noise.angular_acceleration_sigma**2 * (since**3 - (since - t) ** 3) / (3.0 * t**2)
+        wandered = noise.acceleration_sigma**2 * (since**3 - (since - t) ** 3) / (3.0 * t**2)
         gyro = noise.gyro_noise**2 / t + gap * min(wandered, 2.0 * 0.5**2 * 0.25 / t)
         accelerometer = noise.accelerometer_noise**2 / t + gap * noise.acceleration_sigma**2 / t
         J, C = A @ J - B, A @ C @ A.T + B @ np.diag(np.repeat([gyro, accelerometer], 3)) @ B.T

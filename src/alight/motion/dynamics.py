@@ -74,7 +74,7 @@ def _constant(here: Step, rate: F64, dt: float, noise: FilterSettings) -> tuple[
         Q[AT.att, AT.att], Q[AT.gyro, AT.gyro] = np.eye(3) * _OPEN_ATTITUDE_SIGMA**2, np.eye(3) * OPEN_RATE_SIGMA**2
     else:
         F[AT.att, AT.gyro] = here.R @ turn @ right_jacobian(rate * dt) * dt
-        _add_white_noise(Q, AT.att, AT.gyro, here.R, noise.angular_acceleration_sigma**2, dt)
+        _add_white_noise(Q, AT.att, AT.gyro, here.R, noise.acceleration_sigma**2, dt)
     R = here.R if dt > MAX_RATE_AGE else here.R @ turn
     return Step(R, here.position + here.velocity * dt, here.velocity), F, Q
 

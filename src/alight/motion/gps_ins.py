@@ -129,5 +129,5 @@ def measurements(
         add(Quantity.VELOCITY, residual, velocity, AT.vel, AT.nav_vel)
     if not inertial and sample.angular_velocity_body is not None:
         residual = sample.angular_velocity_body - core[AT.gyro]
-        add(Quantity.RATE, residual, np.full(3, noise.nav_rate_white**2), AT.gyro)
+        add(Quantity.RATE, residual, np.full(3, noise.gyro_bias_sigma**2), AT.gyro)
     return out

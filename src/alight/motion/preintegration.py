@@ -120,7 +120,7 @@ def _variance(parts: Segments, noise: FilterSettings) -> F64:
     dt, since = parts.dt, parts.since
     out = np.empty((len(dt), 2))
     gap = parts.interval > _MAX_SAMPLE_INTERVAL
-    wandered = noise.angular_acceleration_sigma**2 * (since**3 - np.maximum(since - dt, 0.0) ** 3) / (3.0 * dt**2)
+    wandered = noise.acceleration_sigma**2 * (since**3 - np.maximum(since - dt, 0.0) ** 3) / (3.0 * dt**2)
     out[:, 0] = noise.gyro_noise**2 / dt + gap * np.minimum(wandered, 2.0 * OPEN_RATE_SIGMA**2 * _OPEN_RATE_TAU / dt)
     out[:, 1] = noise.accelerometer_noise**2 / dt + gap * (noise.acceleration_sigma**2 / dt)
     return out

@@ -236,7 +236,7 @@ class _Batch:
         if row.preintegral is None and z.angular_velocity_body is not None:
             J = np.zeros((3, _SIZE))
             J[:, AT.gyro] = np.eye(3)
-            variance = self._settings.nav_rate_white**2 + np.diag(Q[AT.gyro, AT.gyro])
+            variance = self._settings.gyro_bias_sigma**2 + np.diag(Q[AT.gyro, AT.gyro])
             self._add_row(system, row.k, J, z.angular_velocity_body - self._x[row.k, AT.gyro], variance)
 
     @staticmethod

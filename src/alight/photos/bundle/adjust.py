@@ -116,7 +116,7 @@ def solve_bundle(
         first.centres, first.rotations, np.empty((0, 3)), np.zeros_like(priors.sigma_lens), np.zeros(3),
         np.zeros((len(first.centres), 2, 3)),
     )  # fmt: skip
-    few, most = select(obs, min(300, settings.observations)), select(obs, settings.observations)
+    few, most = select(obs, min(300, settings.features)), obs
     state, priors, aside = coarse_rounds(state, few, priors, first.jumped, progress, seconds)
     placed = np.empty(0, dtype=np.int64)
     if len(aside):

@@ -46,9 +46,6 @@ class FilterTuning(FrozenModel):
     nav_velocity_white: Positive = Field(
         0.03, description="1-sigma of the white part of the GPS/INS velocity error, m/s"
     )
-    nav_rate_white: Positive = Field(
-        0.02, description="1-sigma of the GPS/INS angular velocity, rad/s; used without an IMU"
-    )
     position_sigma: Positive = Field(
         5.0, description="1-sigma of the GPS/INS position where the recording states none, m"
     )
@@ -59,12 +56,11 @@ class FilterTuning(FrozenModel):
         0.3, description="1-sigma of the GPS/INS velocity where the recording states none, m/s"
     )
     acceleration_sigma: Positive = Field(
-        2.0, description="Noise of the constant-velocity model without an IMU, m/s^2 per sqrt(Hz)"
+        2.0, description="Noise of the constant-velocity model without an IMU, m/s^2 and rad/s^2 per sqrt(Hz)"
     )
-    angular_acceleration_sigma: Positive = Field(
-        2.0, description="Noise of the constant-velocity model without an IMU, rad/s^2 per sqrt(Hz)"
+    gyro_bias_sigma: Positive = Field(
+        0.02, description="1-sigma of the gyro bias at the start, and of the angular velocity of GPS/INS, rad/s"
     )
-    gyro_bias_sigma: Positive = Field(0.02, description="1-sigma of the gyro bias at the start, rad/s")
     accelerometer_bias_sigma: Positive = Field(0.2, description="1-sigma of the accelerometer bias at the start, m/s^2")
     imu_margin: Positive = Field(
         1.25, description="Noise of the IMU in flight over the noise that its maker states for a unit at rest"
@@ -89,7 +85,6 @@ class BundleTuning(FrozenModel):
         10, ge=2, description="Nearest photos with which each photo is matched, besides one in each direction"
     )
     matches: int = Field(20, ge=8, description="Least matches of a pair of photos after two-view geometry")
-    observations: int = Field(4000, ge=50, description="Observations of each photo in the adjustment")
     attitude_sigma: Positive = Field(0.05, description="1-sigma of the roll and pitch of the gimbal, rad")
     heading_sigma: Positive = Field(0.15, description="1-sigma of the heading of the gimbal, rad")
     mounting_sigma: NonNegative = Field(
