@@ -86,6 +86,7 @@ class LookPlanner:
 
     def __init__(self, settings: StageSettings, clear_way: ClearWay) -> None:
         self._keys, self._route, self.clear_way = settings.executive, settings.route, clear_way
+        self._radius = settings.lander.radius  # m
         self._open: dict[Site, bool] = {}  # whether a location can be crossed, by the newest verdict
         self._number = -1  # number of that verdict
 
@@ -120,7 +121,7 @@ class LookPlanner:
             flown: leg planned before; returned if it crosses this location and no other leg is clear.
         """
         assert now.position is not None
-        half = max(self._keys.look_base * height, self._keys.least_base)
+        half = max(self._keys.look_base * height, self._radius)
         above = np.array([place.east, place.north, place.up + height])
         leg = LookLeg(above, half, now.position, downwind(now.wind, self._route.calm))
         if seen is None:

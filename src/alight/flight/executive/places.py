@@ -86,7 +86,7 @@ class KnownPlaces:
     """Sites and candidates as last seen, without the refused locations."""
 
     def __init__(self, settings: StageSettings) -> None:
-        self._keys = settings.executive
+        self._keys, self._near = settings.executive, 2.0 * settings.lander.radius  # m, at which footprints overlap
         self._noted: list[Site] = []
         self._noted_by = 0  # number of the newest verdict noted
         self._refused: list[tuple[float, float]] = []
@@ -121,7 +121,7 @@ class KnownPlaces:
 
     def is_refused(self, place: Site) -> bool:
         """Whether a location is at or near a refused location."""
-        return any(math.hypot(place.east - e, place.north - n) < self._keys.banned for e, n in self._refused)
+        return any(math.hypot(place.east - e, place.north - n) < self._near for e, n in self._refused)
 
     def forget(self) -> None:
         """Forget all locations, noted and refused."""
@@ -158,8 +158,6 @@ class KnownPlaces:
 
         `is_open`: see `best`.
         """
-        others = (
-            p for p in self._ranked() if math.hypot(p.east - place.east, p.north - place.north) > self._keys.banned
-        )
+        others = (p for p in self._ranked() if math.hypot(p.east - place.east, p.north - place.north) > self._near)
         best = next((p for p in others if self.worth_a_visit(p) and is_open(p)), None)
         return best if best is not None and best.p_safe >= place.p_safe + self._keys.clearly else None

@@ -27,6 +27,7 @@ class ClearWay:
 
     def __init__(self, settings: StageSettings) -> None:
         self._keys, self._clearance, lander = settings.executive, settings.route.clearance, settings.lander
+        self._long = settings.route.approach_height  # m: a view from there shows no more to one side
         self._beside = max(self._clearance, 2.0 * max(lander.radius, lander.rotor_radius or 0.0))  # m
         self.bounds = Bounds(settings)
         self._number = -1  # number of the verdict
@@ -41,7 +42,7 @@ class ClearWay:
         """
         grid, k = seen.elevation.grid, self._keys
         below = way_below(start, to, grid, self._obstructions_of(seen), self._clearance, self._beside, k.rise)
-        is_long = math.hypot(to[0] - start[0], to[1] - start[1]) > k.long_way
+        is_long = math.hypot(to[0] - start[0], to[1] - start[1]) > self._long
         unsure = below.doubtful > k.risen or (is_long and below.unmapped > k.unmapped)
         return max(below.clear, seen.ground + k.search_height) if unsure and not at_a_place else below.clear
 

@@ -11,8 +11,9 @@ class ExecutiveTuning(FrozenModel):
     """Constants of the executive: search, looks and landing."""
 
     lane: Positive = Field(0.7, description="Distance of two lanes of the search, over the height")
-    look_base: Positive = Field(0.15, description="Half the length of a look leg beside a place, over the height")
-    least_base: Positive = Field(1.5, description="Least half length of a look leg, m")
+    look_base: Positive = Field(
+        0.15, description="Half the length of a look leg beside a place, over the height; at least the lander's radius"
+    )
     probable: Fraction = Field(
         0.8,
         description="P(safe) of a candidate for which the search is broken off; a verdict below it on a landing under "
@@ -34,7 +35,6 @@ class ExecutiveTuning(FrozenModel):
         0.9, description="Median P(safe) of the last verdicts on a landing under way, below which they refuse its place"
     )
     last_verdicts: int = Field(5, ge=1, description="So many of them")
-    banned: Positive = Field(3.0, description="Distance about a refused place within which none is tried again, m")
     plain: Fraction = Field(
         0.1, description="P(safe) that bare and paved ground counts more when the next place is chosen"
     )
@@ -81,10 +81,9 @@ class ExecutiveTuning(FrozenModel):
         "An autopilot that lands by itself has its own",
     )
     abort_height: Positive = Field(1.5, description="Height above the site below which a landing is not broken off, m")
-    long_way: Positive = Field(
-        10.0, description="Ways longer than this over unmapped ground are flown at the height of the search, m"
+    unmapped: Fraction = Field(
+        0.05, description="Share of the ground that may be unmapped below a way longer than the approach height"
     )
-    unmapped: Fraction = Field(0.05, description="Share of the ground below a way that may be unmapped")
     rise: Positive = Field(
         3.0, description="Height above the ground about it from which what is in doubt may be a tree, m"
     )
