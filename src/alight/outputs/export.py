@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from functools import cached_property
 from io import BytesIO, StringIO
 from pathlib import Path
@@ -38,9 +39,23 @@ from alight.records import (
 from alight.records.landing import Doubt
 from alight.report.paint import HEIGHT_RAMP, SAFE_RAMP
 
-LAS_CLASSES = {  # of ASPRS: ground, low and high vegetation, water, road, building; others 1, unclassified
-    Terrain.BARE: 2, Terrain.SHORT_GRASS: 2, Terrain.ROCK: 2, Terrain.TALL_VEGETATION: 3, Terrain.TREE: 5,
-    Terrain.WATER: 9, Terrain.PAVED: 11, Terrain.STRUCTURE: 6,
+
+class LasClass(IntEnum):
+    """Classes of points, as ASPRS numbers them."""
+
+    UNCLASSIFIED = 1
+    GROUND = 2
+    LOW_VEGETATION = 3
+    HIGH_VEGETATION = 5
+    BUILDING = 6
+    WATER = 9
+    ROAD = 11
+
+
+LAS_CLASSES = {
+    Terrain.BARE: LasClass.GROUND, Terrain.SHORT_GRASS: LasClass.GROUND, Terrain.ROCK: LasClass.GROUND,
+    Terrain.TALL_VEGETATION: LasClass.LOW_VEGETATION, Terrain.TREE: LasClass.HIGH_VEGETATION,
+    Terrain.WATER: LasClass.WATER, Terrain.PAVED: LasClass.ROAD, Terrain.STRUCTURE: LasClass.BUILDING,
 }  # fmt: skip
 
 
@@ -278,9 +293,8 @@ def las(found: FinishedRun) -> bytes:
     if run.ortho is not None:
         out.red, out.green, out.blue = 257 * run.ortho[rows, cols].T.astype(np.uint16)
     if run.terrain is not None:
-        table = np.ones(256, np.uint8)
-        table[list(LAS_CLASSES)] = list(LAS_CLASSES.values())
-        out.classification = table[run.terrain[rows, cols]]
+        classes = np.array([LAS_CLASSES.get(t, LasClass.UNCLASSIFIED) for t in Terrain], np.uint8)
+        out.classification = classes[run.terrain[rows, cols]]
     for name, values in (("sigma", run.sigma), ("p_safe", run.safe)):
         if values is not None:
             out.add_extra_dim(laspy.ExtraBytesParams(name=name, type=np.float32))

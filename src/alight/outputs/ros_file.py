@@ -9,14 +9,17 @@ from mcap.writer import CompressionType, Writer
 from alight import __version__
 from alight.outputs.ros_messages import RosMessage, definition_of
 
-CHUNK = 1 << 14  # bytes; a picture ends a chunk, so that it is in the file at once
-
 
 class RosFile:
-    """Writer of messages into a file that is open for writing; channels are made when their first message comes."""
+    """Writer of messages into a file that is open for writing; channels are made when their first message comes.
 
-    def __init__(self, file: BinaryIO) -> None:
-        self._writer = Writer(file, chunk_size=CHUNK, compression=CompressionType.NONE, enable_crcs=False)
+    Args:
+        file: where to write.
+        chunk: bytes of a chunk; a picture exceeds them, so that it is in the file at once.
+    """
+
+    def __init__(self, file: BinaryIO, chunk: int = 1 << 14) -> None:
+        self._writer = Writer(file, chunk_size=chunk, compression=CompressionType.NONE, enable_crcs=False)
         self._writer.start("ros2", f"alight {__version__}")
         self._schemas, self._channels = dict[str, int](), dict[str, int]()
         self._number = 0  # of the next message
