@@ -32,7 +32,7 @@ from alight.flight.live.live import Live, LiveOptions
 from alight.flight.live.run import for_flight
 from alight.outputs.recorder import Recorder
 from alight.records import Event, Frame, NavSample
-from alight.records.codec import MOTION, FlightHead
+from alight.records.codec import FlightHead
 from alight.runner.opening import open_source
 from alight.runs import appearance_of
 from alight.settings import Settings, load_settings
@@ -46,7 +46,7 @@ SETTINGS = ("tuning.tracks.count=200", "parallax.cell=0.09")  # 40 m up: 590 x 4
 
 def recording() -> Path:
     """The simulated flight as a recording; pictures are read from it without decoding."""
-    path = KEPT / f"meadow-{RATE:.0f}-{SECONDS:.0f}.mcap"
+    path = KEPT / f"meadow-{RATE:.0f}-{SECONDS:.0f}-ros2.mcap"
     if not path.exists():
         print("making the flight ...", flush=True)
         KEPT.mkdir(parents=True, exist_ok=True)
@@ -187,7 +187,7 @@ def part_start(_: argparse.Namespace) -> None:
         begin, out = time.time_ns(), Path(folder) / "out"
         subprocess.run(command("live", recording(), "--out", out), check=True, stdout=subprocess.DEVNULL)
         with (out / "recording.mcap").open("rb") as file:
-            _, _, motion = next(iter(make_reader(file).iter_messages(topics=[MOTION])))
+            _, _, motion = next(iter(make_reader(file).iter_messages(topics=["/motion"])))
     show(Row("start to first pose, s", 1e-9 * (motion.log_time - begin), 5, 3))
 
 

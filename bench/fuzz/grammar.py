@@ -182,13 +182,18 @@ def _tree(path: Path, where: float, what: str) -> None:
 
 
 def _damaged(data: bytes, where: float, what: str) -> bytes:
-    """Replace a number in a JSON text or in the head of a picture, or garble the bytes."""
+    """Replace a number in a JSON text, also of a ROS message, or garble the bytes of another message of ROS."""
     if what == "garble" or not data:
         return bytes(b ^ (37 * (k % 11 == int(11 * where))) for k, b in enumerate(data))
-    start, size = (0, len(data)) if data[:1] == b"{" else (4, struct.unpack("<I", data[:4].ljust(4, b"\0"))[0])
-    text = data[start : start + size].decode("utf-8", errors="replace")
-    changed = _renumbered(text, where, what).encode()
-    return changed if start == 0 else struct.pack("<I", len(changed)) + changed + data[start + size :]
+    if data[:1] == b"{":
+        return _renumbered(data.decode("utf-8", errors="replace"), where, what).encode()
+    if data[8:9] == b"{":  # after the byte order and the length
+        changed = _renumbered(data[8:-1].decode("utf-8", errors="replace"), where, what).encode()
+        return data[:4] + struct.pack("<I", len(changed) + 1) + changed + b"\0"
+    if where < 0.3:
+        return data[:1] + bytes([data[1] ^ 1]) + data[2:]  # the other byte order
+    at = 4 + int(where * len(data[:60]) / 4) * 4  # the stamp, or the length of a text or of an array
+    return data[:at] + struct.pack("<I", int(where * 2**32)) + data[at + 4 :]
 
 
 def _message(path: Path, where: float, what: str) -> None:
@@ -207,11 +212,10 @@ def _message(path: Path, where: float, what: str) -> None:
             elif isinstance(r, Channel):
                 writer.register_channel(r.topic, r.message_encoding, r.schema_id)
             elif isinstance(r, Metadata):
-                head = r.metadata["head"]
-                writer.add_metadata(
-                    r.name,
-                    {"head": _damaged(head.encode(), 5 * where, what).decode("utf-8", "replace") if hit else head},
-                )
+                values = dict(r.metadata)
+                if hit and "head" in values:
+                    values["head"] = _damaged(values["head"].encode(), 5 * where, what).decode("utf-8", "replace")
+                writer.add_metadata(r.name, values)
             elif isinstance(r, Message) and not (hit and what == "gone"):
                 data = _damaged(r.data, 7919 * where % 1, what) if hit else r.data
                 writer.add_message(r.channel_id, r.log_time, data, r.publish_time, r.sequence)

@@ -111,7 +111,7 @@ def test_a_method_page_is_short_and_in_short_sentences(page: Path) -> None:
     assert lengths[int(0.9 * (len(lengths) - 1))] <= MOST_IN_SENTENCE
 
 
-@pytest.mark.parametrize("page", ["start", "your-camera", "python", "reading-the-report", "usage"])
+@pytest.mark.parametrize("page", ["start", "your-data", "python", "reading-the-report", "usage"])
 def test_a_page_for_users_is_in_short_sentences(page: str) -> None:
     lengths = sorted(sentences(text_of(ROOT / "docs" / f"{page}.md")))
     assert lengths[int(0.9 * (len(lengths) - 1))] <= MOST_FOR_USERS

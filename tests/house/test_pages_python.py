@@ -16,7 +16,7 @@ import pytest
 from alight_sim import SimulatedFlight
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGES = ("python", "your-camera")
+PAGES = ("python", "your-data")
 
 
 def blocks(page: str) -> list[tuple[int, str]]:
@@ -116,6 +116,6 @@ def test_the_pipeline_of_the_example_decides(reader: Callable[[str], Reader]) ->
 
 
 def test_the_flight_log_of_the_page_is_read_without_a_warning(reader: Callable[[str], Reader]) -> None:
-    names = reader("your-camera").read()
+    names = reader("your-data").read()
     assert names["source"].length == len(names["frames"]) == 9
     assert names["source"].warnings == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from alight.cli import call
 from alight.outputs import folder, write_run
 from alight.outputs.folder import WORK
 from alight.outputs.recorder import Recorder
+from alight.outputs.ros_messages import RosMessage
 from alight.photos.work import saved
 from alight.records.campaign import LandingRecord
 from alight.records.codec import CAMERAS, IMU, NAV, NOTES, SCHEDULE, FlightHead
@@ -263,7 +265,8 @@ def record(flight: Path, tmp_path: Path) -> Record:
         recorder = Recorder(tmp_path / "recording.mcap", head)
         for event in source.events():
             recorder.event(event)
-        recorder.put(topic, 1, [data])
+        text = b"\0\1\0\0" + struct.pack("<I", len(data) + 1) + data + b"\0"
+        recorder.put(RosMessage(topic, "std_msgs/msg/String", 1, [text]))
         recorder.close()
         return tmp_path / "recording.mcap"
 

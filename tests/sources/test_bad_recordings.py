@@ -69,7 +69,7 @@ def test_a_whole_one_is_replayed(record: Callable[..., Path], capsys: pytest.Cap
         (of_kind(NavSample, world_from_body=np.ones((3, 3))), "no rotation"),
         (of_kind(NavSample, sigma_position=np.full(3, 1e-300)), "sigma_position is out of range"),
         (of_kind(ImuSample, specific_force_body=np.full(3, 1e200)), "specific_force_body is out of range"),
-        (of_kind(ImuSample, angular_velocity_body=None), "angular_velocity_body is out of range"),
+        (of_kind(ImuSample, angular_velocity_body=np.full(3, np.nan)), "angular_velocity_body is out of range"),
         (of_kind(ImuSample, t_ns=-5), "its time is out of range"),
         (of_kind(Frame, images=(np.zeros((3, 3), np.uint8),)), "its images are not those of the cameras"),
     ],

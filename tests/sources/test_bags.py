@@ -27,7 +27,7 @@ from drawn_bags import (
 
 from alight.cli import call
 from alight.geometry import Pose
-from alight.records import Event, Frame, ImuSample, InputError, MissingExtraError, NavSample
+from alight.records import Event, Frame, ImuSample, InputError, NavSample
 from alight.runner.opening import open_source
 from alight.settings import load_settings
 from alight.sources import Source
@@ -446,14 +446,23 @@ def test_what_is_no_bag_is_one_line(
     assert words in err
 
 
-@pytest.mark.parametrize("form", ["ros1", "mcap"])
-def test_a_message_that_is_damaged_is_left_out(bag: Write, form: str) -> None:
-    """Its text is longer than itself; of MCAP, also a wrong byte order."""
+def too_long(data: bytes) -> bytes:
+    """The text of the first picture is longer than the message."""
+    at = data.index(b"mono8") - 4
+    return data[:at] + b"\xff\xff\xff\x7f" + data[at + 4 :]
+
+
+def other_order(data: bytes) -> bytes:
+    """The first picture claims to be big-endian."""
+    at = data.rindex(b"\0\1\0\0", 0, data.index(b"mono8"))
+    return data[:at] + bytes(2) + data[at + 2 :]
+
+
+@pytest.mark.parametrize(("form", "damage"), [("ros1", too_long), ("mcap", too_long), ("mcap", other_order)])
+def test_a_message_that_is_damaged_is_left_out(bag: Write, form: str, damage: Callable[[bytes], bytes]) -> None:
     path = bag(form)
     file = path if path.is_file() else next(path.glob("*.mcap"))
-    data = file.read_bytes()
-    at = data.index(b"mono8") - 4
-    file.write_bytes(data[:at] + b"\xff\xff\xff\x7f" + data[at + 4 :])
+    file.write_bytes(damage(file.read_bytes()))
     source = opened(file)
     assert len(of_kind(source, Frame)) == 6
     assert "/cam0/image_raw messages: 1 left out (first: of 1700000000000000000 ns: it is no sensor_msgs" in "".join(
@@ -467,13 +476,6 @@ def test_parts_of_a_bag_are_one(flight: Path, tmp_path: Path) -> None:
     for k, half in enumerate((drawn[: len(drawn) // 2], drawn[len(drawn) // 2 :])):
         write_bag(folder / f"flight_{k}", "ros1", half)
     assert_same(opened(folder).events(), opened(flight).events())
-
-
-def test_without_rosbags_one_line_names_the_extra(bag: Write, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = bag()
-    monkeypatch.setattr("alight.sources.bags.files.find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError, match=re.escape("pip install 'alight[bags]'")):
-        opened(path)
 
 
 def test_the_command_line_prints_the_choice_and_takes_another(

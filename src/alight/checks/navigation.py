@@ -148,7 +148,7 @@ def attitude_readings(world_from_body: F64) -> dict[str, tuple[F64, str]]:
     R = np.asarray(world_from_body)
     x, y, z, w = Rotation.from_matrix(R).as_quat().T  # as read; SciPy has the real part last
     reordered = np.asarray(Rotation.from_quat(np.stack([w, x, y, z], axis=-1)).as_matrix())
-    convert = "convert the attitude as in docs/your-camera.md (enu_from_flu)"
+    convert = "convert the attitude as in docs/your-data.md (enu_from_flu)"
     return {
         "a quaternion in the order x y z w": (reordered, "write q_w first: q_w, q_x, q_y, q_z"),
         "the inverse rotation (body from world)": (np.swapaxes(R, 1, 2), "write the conjugate quaternion"),

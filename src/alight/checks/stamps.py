@@ -88,7 +88,7 @@ def _check_stream(what: str, t_ns: I64, least_rate: float, evidence: RigEvidence
         if what in evidence.promised:
             return bad(
                 found.name, f"the recording has {what}, but no row at the time of the pictures",
-                f"put pictures and {what} on one clock (ns), as in docs/your-camera.md",
+                f"put pictures and {what} on one clock (ns), as in docs/your-data.md",
             )  # fmt: skip
         return unknown(found.name, f"no {what}")
     s = sampling_of(t_ns)

@@ -6,6 +6,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 try:
+    from alight.cli import exported as exported
     from alight.cli import flown as flown
     from alight.cli import recorded as recorded
     from alight.cli import simulated as simulated

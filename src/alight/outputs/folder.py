@@ -30,7 +30,14 @@ FILES = (
     EVIDENCE,
 )
 KNOWN = (RUN_JSON, *FILES, "hazards.tif", "heights.tif")  # the last two are written by `alight hazards`
-BY_OTHERS = (".DS_Store", "Thumbs.db", "desktop.ini", ".nfs*", "*.aux.xml")  # file managers, NFS, GDAL and QGIS
+BY_OTHERS = (
+    ".DS_Store",
+    "Thumbs.db",
+    "desktop.ini",
+    ".nfs*",
+    "*.aux.xml",
+    "*.qml",
+)  # file managers, NFS, GDAL and QGIS
 WORK = "unfinished-work"  # folder of an interrupted run
 NO_PLACE = "the input has no place on Earth; run.json has the sites in metres"
 

@@ -9,19 +9,46 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.records import Channel, Message, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.records import Metadata
 
-from alight.arrays import F64
+from alight.arrays import F64, U8
 from alight.documents import parse_json
-from alight.records import Event, Frame, InputError, NavSample, Rig, Schedule
-from alight.records.codec import CAMERAS, IMU, NAV, NOTES, SCHEDULE, FlightHead, unpack
+from alight.records import Event, Frame, ImuSample, InputError, NavSample, Rig, Schedule
+from alight.records.codec import CAMERAS, FORMAT, HEAD, IMU, NAV, NOTES, SCHEDULE, FlightHead
 from alight.settings import Settings
+from alight.sources.bags.files import decode
+from alight.sources.bags.mcap_file import RawMessage, read_mcap
+from alight.sources.bags.streams import stamp_of
 from alight.sources.calibrated_folder import IMU_NOISE
 from alight.sources.calibration import why_no_lens
 from alight.sources.source import LARGEST, SIGMAS, Source
 
-HEAD = "alight"
+IMAGE = "sensor_msgs/msg/Image"
+DAMAGED = (ValueError, KeyError, TypeError, OverflowError, IndexError, AttributeError)
+
+
+def _imu(message: Any) -> ImuSample:
+    rates, force = message.angular_velocity, message.linear_acceleration
+    return ImuSample(
+        stamp_of(message), np.array([rates.x, rates.y, rates.z]), np.array([force.x, force.y, force.z])
+    )  # fmt: skip
+
+
+def _nav(tree: dict[str, Any]) -> NavSample:
+    values: dict[str, Any] = {k: None if v is None else np.array(v, np.float64) for k, v in tree.items() if k != "t_ns"}
+    return NavSample(int(tree["t_ns"]), **values)
+
+
+def _frame(tree: dict[str, Any], pictures: dict[str, RawMessage]) -> Frame:
+    """Return an exposure from its entry in the list of exposures and the newest pictures by topic."""
+    images = list[U8 | None]()
+    for k, is_seen in enumerate(tree["images"]):
+        message = decode(pictures[f"/cam{k}/image_raw"]) if is_seen else None
+        if message is not None and stamp_of(message) != tree["t_ns"]:
+            raise ValueError(f"its picture of cam{k} is missing")
+        colours = () if message is None or message.encoding == "mono8" else (3,)
+        images.append(None if message is None else message.data.reshape(message.height, message.width, *colours).copy())
+    return Frame(int(tree["t_ns"]), tuple(images), str(tree["name"]))
 
 
 def why_unusable(event: Event, rig: Rig) -> str:
@@ -104,20 +131,32 @@ class Recording(Source):
     def events(self) -> Iterator[Event]:
         """Yield the events in order of arrival."""
         seen, chosen = Counter[str](), range(self._skip, self._found[CAMERAS], self._every)
-        for topic, data in self._messages():
-            if topic not in (CAMERAS, NAV, IMU):
+        pictures = dict[str, RawMessage]()  # the newest by topic
+        for m in self._messages():
+            if isinstance(m, RawMessage) and m.type.name == IMAGE:
+                pictures[m.topic] = m
+            if not isinstance(m, RawMessage) or m.topic not in (CAMERAS, NAV, IMU):
                 continue
-            seen[topic] += 1
-            if topic == CAMERAS and seen[topic] - 1 not in chosen:
+            seen[m.topic] += 1
+            if m.topic == CAMERAS and seen[m.topic] - 1 not in chosen:
                 continue
             try:
-                event = unpack(topic, data)
+                event = self._event(m, pictures)
                 if why := why_unusable(event, self.rig):
                     raise ValueError(why)
             except ValueError as e:
-                self._lose(topic, seen[topic], str(e))
+                self._lose(m.topic, seen[m.topic], str(e))
                 continue
             yield event
+
+    def _event(self, message: RawMessage, pictures: dict[str, RawMessage]) -> Event:
+        try:
+            if message.topic == IMU:
+                return _imu(decode(message))
+            tree = parse_json(decode(message).data)
+            return _nav(tree) if message.topic == NAV else _frame(tree, pictures)
+        except DAMAGED as e:
+            raise ValueError(f"damaged ({e})") from e
 
     def _lose(self, topic: str, number: int, why: str) -> None:
         self.findings.lose(f"{topic[1:]} messages", f"number {number} of {self._found[topic]}", why)
@@ -126,23 +165,21 @@ class Recording(Source):
         """Return the head, the schedule's lists by field name, and the notes; count the messages by topic."""
         head, notes, damaged = None, list[str](), list[tuple[str, int, str]]()
         entries: dict[str, list[Any]] = {k: [] for k in Schedule.__dataclass_fields__}
-        for topic, data in self._messages():
-            self._found[topic] += 1
-            if topic == HEAD:
-                head = _read_head(data.decode(), self._path)
-            elif topic in (SCHEDULE, NOTES):
-                try:
-                    entry = parse_json(data)
-                    if topic == NOTES:
-                        notes.append(f"{entry['lane']}: {entry['note']}")
-                    elif (kind := str(entry["kind"])) in entries:
-                        t_ns, value, place = int(entry["t_ns"]), int(entry["value"]), entry["about"]
-                        about = None if place is None else (float(place[0]), float(place[1]))
-                        entries[kind].append(t_ns)
-                        entries["effort"] += [value] * (kind == "mapped")
-                        entries["about"] += [about] * (kind == "judged")
-                except (ValueError, KeyError, TypeError, OverflowError, IndexError) as e:
-                    damaged.append((topic, self._found[topic], f"damaged ({e})"))
+        for m in self._messages():
+            if not isinstance(m, RawMessage):
+                if m.metadata.get("format") != FORMAT:
+                    raise InputError(f"{self._path}: is a recording of another version of Alight; record again")
+                head = _read_head(m.metadata["head"], self._path)
+                continue
+            self._found[m.topic] += 1
+            try:
+                if m.topic == NOTES:
+                    line = decode(m)
+                    notes.append(f"{line.name}: {line.msg}")
+                elif m.topic == SCHEDULE and (kind := str((entry := parse_json(decode(m).data))["kind"])) in entries:
+                    _schedule(entries, kind, entry)
+            except DAMAGED as e:
+                damaged.append((m.topic, self._found[m.topic], f"damaged ({e})"))
         for message in damaged:
             self._lose(*message)
         self.findings.counts |= {f"{t[1:]} messages": self._found[t] for t in (CAMERAS, NAV, IMU) if self._found[t]}
@@ -150,21 +187,18 @@ class Recording(Source):
             raise InputError(f"{self._path}: no recording of Alight; give one that 'alight live' made")
         return head, entries, notes
 
-    def _messages(self) -> Iterator[tuple[str, bytes]]:
-        """Yield topic and bytes of every message; if the file ends early, warn and stop."""
-        topics: dict[int, str] = {}
+    def _messages(self) -> Iterator[RawMessage | Metadata]:
+        """Yield the head and every message; if the file ends early, warn and stop."""
+        some = False
         try:
             with self._path.open("rb") as file:
-                for record in StreamReader(file).records:
-                    if isinstance(record, Metadata) and record.name == HEAD:
-                        yield HEAD, record.metadata["head"].encode()
-                    elif isinstance(record, Channel):
-                        topics[record.id] = record.topic
-                    elif isinstance(record, Message):
-                        yield topics[record.channel_id], record.data
+                for found in read_mcap(file):
+                    if isinstance(found, RawMessage) or found.name == HEAD:
+                        some = True
+                        yield found
         except OSError as e:
             raise InputError(f"{self._path}: cannot be read ({e.strerror or e}); check the permissions") from e
         except Exception as e:  # damaged bytes can make the library raise any exception
-            if not topics:
+            if not some:
                 raise InputError(f"{self._path}: no recording of Alight and no ROS bag (MCAP); copy it again") from e
             self.findings.warn("the recording ends early, as after a loss of power: what came before it is used")

@@ -350,5 +350,5 @@ class Live:
             self._use("judged", t_ns, about=None if about is None else (float(about[0]), float(about[1])))
             self.watch.reached(VERDICT, t_ns)
             if recorder is not None:
-                recorder.sites(t_ns, verdict.in_world().sites)
+                recorder.verdict(t_ns, verdict.in_world())
             self._options.listener.verdict(verdict, t_ns)

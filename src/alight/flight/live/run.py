@@ -102,9 +102,10 @@ class LiveRun:
             raise AlightError(
                 f"{self._source.name}: not one image came; see that the camera or the folder gives pictures"
             )
-        decision = self.live.finish()
+        decision, recorder = self.live.finish(), self.recorder
+        if recorder is not None:
+            recorder.decision(decision)
         self.close()
-        recorder = self.recorder
         warnings = [*decision.warnings, *(recorder.warnings if recorder else [])]
         timings = dict(self.live.watch.timings.stages)  # s, of the last steps
         result = result_of(self._source, self._settings, replace(decision, warnings=warnings), timings)

@@ -36,7 +36,6 @@ class BagFlight(FlightLog):
 
     Raises:
         InputError: the bag has no pictures or no calibration, or it is not clear which topics to use.
-        MissingExtraError: rosbags is not installed.
     """
 
     no_place = "the bag has no GPS (NavSatFix): heights and places are relative, and nothing can be put on a map"

@@ -12,39 +12,19 @@ from bz2 import decompress as from_bz2
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
-from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 from urllib.parse import quote
 
 from lz4.frame import decompress as from_lz4
-from mcap.records import Channel, Message, Schema
-from mcap.stream_reader import StreamReader
 
-from alight.records import InputError, MissingExtraError
+from alight.records import InputError
+from alight.sources.bags.mcap_file import MessageType, RawMessage, read_mcap
 from alight.sources.source import Findings
 
 BAG_HEADER, CHUNK, CONNECTION, MESSAGE = b"\x03", b"\x05", b"\x07", b"\x02"  # kinds of records of a ROS 1 bag
 DECOMPRESS: dict[bytes, Callable[[bytes], bytes]] = {b"none": bytes, b"bz2": from_bz2, b"lz4": from_lz4}
-
-
-class MessageType(NamedTuple):
-    """Type of the messages of a topic, and how they are stored."""
-
-    name: str  # such as sensor_msgs/msg/Image
-    encoding: str  # ros1 or cdr
-    language: str = ""  # of the definition: ros2msg, ros2idl, or empty without a definition
-    definition: str = ""
-
-
-class RawMessage(NamedTuple):
-    """One message of a bag."""
-
-    topic: str
-    type: MessageType
-    t_ns: int  # time of arrival
-    data: bytes
 
 
 def messages_of(files: Sequence[Path], wanted: Callable[[str, str], bool], findings: Findings) -> Iterator[RawMessage]:
@@ -52,10 +32,7 @@ def messages_of(files: Sequence[Path], wanted: Callable[[str, str], bool], findi
 
     Raises:
         InputError: nothing of a file can be read.
-        MissingExtraError: rosbags is not installed.
     """
-    if find_spec("rosbags") is None:
-        raise MissingExtraError("rosbags", "bags")
     for path in files:
         read = {".db3": _of_sqlite, ".mcap": _of_mcap}.get(path.suffix.lower(), _of_ros1)
         some = False
@@ -128,22 +105,10 @@ def _fields(header: bytes) -> dict[bytes, bytes]:
 
 
 def _of_mcap(path: Path, wanted: Callable[[str, str], bool]) -> Iterator[RawMessage]:
-    schemas: dict[int, Schema] = {}
-    topics: dict[int, tuple[str, MessageType]] = {}
     with path.open("rb") as file:
-        for record in StreamReader(file).records:
-            if isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel) and record.message_encoding in ("cdr", "ros1"):
-                schema = schemas[record.schema_id]
-                name = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/", 1)
-                text = schema.data.decode(errors="replace")
-                language = "ros2msg" if schema.encoding == "ros1msg" else schema.encoding
-                topics[record.id] = record.topic, MessageType(name, record.message_encoding, language, text)
-            elif isinstance(record, Message) and record.channel_id in topics:
-                topic, kind = topics[record.channel_id]
-                if wanted(topic, kind.name):
-                    yield RawMessage(topic, kind, record.log_time, record.data)
+        for m in read_mcap(file):
+            if isinstance(m, RawMessage) and wanted(m.topic, m.type.name):
+                yield m
 
 
 def _of_sqlite(path: Path, wanted: Callable[[str, str], bool]) -> Iterator[RawMessage]:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO
 
 from alight.records import InputError
+from alight.sources.bags.mcap_file import is_ros_mcap
 
 MAGIC = {".bag": b"#ROSBAG V2.0", ".active": b"#ROSBAG V2.0", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
 
@@ -19,24 +18,7 @@ def is_bag(path: Path) -> bool:
     with path.open("rb") as file:
         if file.read(len(start)) != start:
             return False
-        return path.suffix.lower() != ".mcap" or _is_of_ros(file)
-
-
-def _is_of_ros(file: BinaryIO) -> bool:
-    """Whether an MCAP file has a channel of ROS messages before any sign of being a recording of Alight."""
-    from mcap.records import Channel, Metadata
-    from mcap.stream_reader import StreamReader
-
-    from alight.sources.recording import HEAD
-
-    file.seek(0)
-    with suppress(Exception):  # damaged bytes can make the library raise any exception
-        for record in StreamReader(file).records:
-            if isinstance(record, Channel) and record.message_encoding in ("cdr", "ros1"):
-                return True
-            if isinstance(record, Metadata) and record.name == HEAD:
-                break
-    return False
+        return path.suffix.lower() != ".mcap" or is_ros_mcap(file)
 
 
 def bag_files(path: Path) -> list[Path]:

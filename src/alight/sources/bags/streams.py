@@ -12,9 +12,10 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.geometry import Pose, matrix_from_quaternion, quaternion_from_matrix
 from alight.geometry.rotations import ENU_FROM_NED, FRD_FROM_FLU
-from alight.sources.bags.files import RawMessage, decode, messages_of
+from alight.sources.bags.files import decode, messages_of
 from alight.sources.bags.frame_tree import FrameTree
 from alight.sources.bags.images import IMAGES, header_of_picture, is_calibrated
+from alight.sources.bags.mcap_file import RawMessage
 from alight.sources.source import Findings
 
 Parts = dict[str, Sequence[float]]  # measurements of one message, by name
