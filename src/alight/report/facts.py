@@ -178,7 +178,7 @@ def _row(result: RunResult, s: Site) -> Row:
 def _score(result: RunResult, s: Site) -> str:
     """Return the score by which sites are ranked, with its parts (G11)."""
     weights = result.settings.tuning.sites
-    room = weights.room_weight * min(s.clearance / weights.roomy, 1.0)
+    room = min(s.clearance / weights.roomy, 1.0)
     doubt = weights.doubt_weight * (1 - s.p_safe)
     if not math.isfinite(s.quality + room - doubt):
         return "score unknown"
@@ -196,7 +196,7 @@ def _site_order(result: RunResult) -> str:
     weights = result.settings.tuning.sites
     away = " less the distance from the vehicle," if result.settings.sites.distance_weight else ""
     return (
-        f"Sites are in order of score: quality,{away} plus up to {weights.room_weight:g} for room (at "
+        f"Sites are in order of score: quality,{away} plus up to 1 for room (at "
         f"{weights.roomy:g} m clear), less {weights.doubt_weight / 100:g} for each percent that the chance lacks. So a "
         "better place can stand before a slightly surer one."
     )

@@ -34,8 +34,8 @@ def _line(points: Iterable[Iterable[float]]) -> list[list[float]]:
 
 def shapes_of(result: RunResult) -> Iterator[Shape]:
     """Yield the shapes of a run; later ones are drawn over earlier ones."""
-    rings = survey.footprints(result)
-    for ring in rings[:: math.ceil(len(rings) / 60) or 1]:
+    prints = survey.footprints(result)
+    for ring in prints[:: math.ceil(len(prints) / 60) or 1]:
         yield Shape("Footprints of the pictures", "footprint", "Polygon", [_line(ring)], hidden=True)
     areas = [] if result.elevation is None else survey.zone_areas(result, result.elevation.grid)
     for zone, area in areas:

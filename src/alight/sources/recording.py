@@ -104,6 +104,18 @@ def _read_head(text: str, path: Path) -> FlightHead:
     return head
 
 
+def _schedule(entries: dict[str, list[Any]], kind: str, entry: Any) -> None:
+    """Add an `entry` of the schedule (JSON) to the list `kind` in `entries`, and its details to their own lists.
+
+    A damaged entry raises an error and changes no list.
+    """
+    t_ns, value, place = int(entry["t_ns"]), int(entry["value"]), entry["about"]
+    about = None if place is None else (float(place[0]), float(place[1]))
+    entries[kind].append(t_ns)
+    entries["effort"] += [value] * (kind == "mapped")
+    entries["about"] += [about] * (kind == "judged")
+
+
 class Recording(Source):
     """One recorded flight.
 
