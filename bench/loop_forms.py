@@ -92,14 +92,15 @@ def used(package: str) -> dict[str, list[str]]:
         if not module.startswith(package):
             continue
         for name, loop in vars(importlib.import_module(module)).items():
-            if not (isinstance(loop, CPUDispatcher) and loop.py_func.__module__ == module):
+            own = isinstance(loop, CPUDispatcher) and loop.py_func.__module__ == module
+            if not own or name.startswith("_"):  # a helper: its caller compiles it
                 continue
             file: Any = loop._cache._cache_file  # type: ignore[attr-defined]
             for key, data in file._load_index().items():
                 form = repr(key[0])
                 try:
                     assert sigutils.normalize_signature(form)[0] == key[0]
-                except Exception:  # a helper with a literal or an enumeration: its caller compiles it
+                except Exception:  # with a literal or an enumeration
                     continue
                 size, forms = found.get(f"{module}.{name}", (0, []))
                 found[f"{module}.{name}"] = size + Path(file._data_path(data)).stat().st_size, [*forms, form]
