@@ -179,8 +179,9 @@ def _trajectory(survey: Survey, rig: Rig, settings: BundleSettings) -> Trajector
     observed, gains = np.bincount(obs.photo, minlength=len(survey.frames)), exposure_gains(survey.features, obs)
     covariance, readouts, motions = solved.covariance.copy(), lenses.readout(np.arange(len(survey.frames))), []
     # fixes of one receiver share errors, which no mean over the photos makes smaller: the best fix bounds them
-    shared = np.nanmin(np.where(np.isfinite(priors.centres), priors.sigma_centres, np.nan)[solved.registered], axis=0)
-    covariance[:, :3, :3] += np.diag(np.nan_to_num(shared) ** 2)
+    sigmas = np.where(np.isfinite(priors.centres), priors.sigma_centres, np.inf)[solved.registered]
+    shared = sigmas.min(axis=0, initial=np.inf)
+    covariance[:, :3, :3] += np.diag(np.where(np.isfinite(shared), shared, 0.0) ** 2)
     for i in solved.registered:
         world_from_cam = Pose(state.rotations[i], state.centres[i])
         body = world_from_cam @ rig.cameras[lenses.of[i]].body_from_cam.inverse

@@ -198,7 +198,8 @@ def _pictures(out: Path, names: Sequence[str | None], most: int = 6_000_000) -> 
         try:
             found[name] = embedded(read_bytes(out / name, 1_000_000))
         except (OSError, DocumentError) as e:
-            log.warning("%s: cannot be read (%s); the report does not show it", out / name, e)
+            why = "the report shows no picture of that touchdown or its looks"
+            log.warning("%s: cannot be read (%s); %s", out / name, e, why)
     return found
 
 
