@@ -1,4 +1,4 @@
-"""Commands without a flight: run, check, evaluate, hazards, terrain, settings, warmup."""
+"""Commands without a flight: run, judge, check, evaluate, hazards, terrain, settings, warmup, doctor."""
 
 from __future__ import annotations
 
@@ -343,3 +343,14 @@ def warmup(verbose: options.Verbose = False) -> None:
     with progress_bar() as report:
         compile_loops(*USES, progress=report)
     print_line("ready")
+
+
+@app.command()
+def doctor(verbose: options.Verbose = False) -> None:
+    """Print versions, processors, memory, caches, cameras, serial links and missing extras, for a bug report."""
+    from alight.runner.doctor import facts
+
+    found = list(facts())
+    width = max(len(name) for name, _ in found)
+    for name, value in found:
+        print_line(f"{name:<{width}}  {value}")
