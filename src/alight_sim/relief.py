@@ -9,10 +9,10 @@ import numpy as np
 from pydantic import Field
 
 from alight.arrays import F64
-from alight_sim.kernels.layers import Relief, add_fractal, add_fractal_here
+from alight_sim.kernels.layers import ReliefForm, add_fractal, add_fractal_here
 from alight_sim.section import Section
 
-FORMS = {"hills": Relief.HILLS, "ridges": Relief.RIDGES, "dunes": Relief.DUNES}
+FORMS = {"hills": ReliefForm.HILLS, "ridges": ReliefForm.RIDGES, "dunes": ReliefForm.DUNES}
 FEW = 8192  # number of positions up to which one thread is faster than several
 
 
@@ -65,5 +65,5 @@ def noise(x: F64, y: F64, seed: int, longest: float, shortest: float, fall: floa
         return np.zeros(x.shape)
     east, north = (np.ascontiguousarray(v).reshape(len(v), -1) for v in (x, y))
     out = np.zeros(east.shape)
-    _add(east, north, octaves(1.0, longest, shortest, fall), Relief.HILLS, seed, out)
+    _add(east, north, octaves(1.0, longest, shortest, fall), ReliefForm.HILLS, seed, out)
     return out.reshape(x.shape)

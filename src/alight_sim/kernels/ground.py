@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.compiled import kernel
-from alight.records import Terrain
 from alight_sim.kernels.block import F1, F32, F64, I32, B, Slot, copy, f32, noise_at, smallest, smoothstep
 
 U8 = NDArray[np.uint8]
 
+# codes of records.Terrain with sharp borders: colours keep to them
+TREE, ROCK, PAVED, STRUCTURE = 4, 6, 7, 8
 STEEP = 3.0  # slope of a side
 EDGE, FOOT_OF = 0.06, 0.25  # metres: four cells that differ by more are an edge; its side is ground up to FOOT_OF
 STEP, PLAIN = 1, 2  # bits of a cell: it and the next cells in x and y are an edge; all cells within WIDE are equal
@@ -34,7 +35,7 @@ def _class_near(label: U8, gx: float, gy: float) -> tuple[int, int]:
 @kernel
 def _hard(kind: int) -> bool:
     """Whether colours keep to the border of a class."""
-    return kind == Terrain.TREE or kind == Terrain.ROCK or kind == Terrain.STRUCTURE
+    return kind == TREE or kind == ROCK or kind == STRUCTURE
 
 
 @kernel
@@ -71,7 +72,7 @@ def _near(buf: F32, i: int, label: U8, gx: float, gy: float) -> tuple[int, int]:
         return _class_near(label, gx + east / steep, gy - north / steep)
     r, c = _class_near(label, gx, gy)
     q, p = _class_near(label, gx + buf[Slot.TX + i], gy + buf[Slot.TY + i])
-    if label[r, c] == Terrain.PAVED or label[q, p] == Terrain.PAVED:  # paving has a sharp border
+    if label[r, c] == PAVED or label[q, p] == PAVED:  # paving has a sharp border
         q, p = _class_near(label, gx + f32(0.25) * buf[Slot.TX + i], gy + f32(0.25) * buf[Slot.TY + i])
     hard = _hard(label[r, c]) or _hard(label[q, p])
     return (r, c) if hard else (q, p)

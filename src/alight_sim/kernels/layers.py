@@ -19,7 +19,7 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 
-class Relief(IntEnum):
+class ReliefForm(IntEnum):
     """Forms of fractal relief."""
 
     HILLS, RIDGES, DUNES = range(3)
@@ -36,11 +36,11 @@ def _fractal_row(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, s
         # wave numbers of the octave's axes: u = a x + b y, v = c x + d y
         a, b = cos / wavelengths[k], -sin / wavelengths[k]
         c, d = sin / wavelengths[k], cos / wavelengths[k]
-        if form == Relief.DUNES:
+        if form == ReliefForm.DUNES:
             a, b, c, d = 1.0 / wavelengths[k], 0.0, 0.0, 0.25 / wavelengths[k]
         u0, v0 = math.floor(a * x[0] + b * y[0]), math.floor(c * x[0] + d * y[0])
         i0, j0, bits, gain = np.int32(u0), np.int32(v0), seed32(seed + 101 * k), amplitudes[k]
-        if form == Relief.HILLS:
+        if form == ReliefForm.HILLS:
             for m in range(out.size):
                 u, v = np.float32(a * x[m] + b * y[m] - u0), np.float32(c * x[m] + d * y[m] - v0)
                 out[m] += gain * noise32(u, v, i0, j0, bits)[0]

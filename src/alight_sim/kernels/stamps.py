@@ -29,7 +29,7 @@ class Column(IntEnum):
 COLUMNS = len(Column)
 
 
-class Dome(IntEnum):
+class DomeShape(IntEnum):
     """Shapes of domes."""
 
     ELLIPSOID, CONE, DRUM = range(3)
@@ -81,7 +81,7 @@ def _dome(thing: F64, u: float, v: float, x: float, y: float, form: F64, shape: 
         r *= 1.0 + form[3] * (a + 0.55 * b)
     if r >= 1.0:
         return -1.0
-    shaped = math.sqrt(1.0 - r * r) if shape == Dome.ELLIPSOID else (1.0 - r if shape == Dome.CONE else 1.0)
+    shaped = math.sqrt(1.0 - r * r) if shape == DomeShape.ELLIPSOID else (1.0 - r if shape == DomeShape.CONE else 1.0)
     rise = thing[Column.TOP] * (form[0] + (1.0 - form[0]) * shaped)
     if form[1] > 0.0:
         a, _, _ = gradient_noise(x / size, y / size, seed + 3)

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.compiled import kernel, parallel_kernel, prange
-from alight.records import Terrain
 from alight_sim.kernels.noise import gradient_noise, hash3
 from alight_sim.kernels.stamps import Column, _span
 
@@ -25,6 +24,8 @@ FACES = 6  # number of faces around an angular stone
 # distance of a face from the centre over the radius, [least, spread]: the area stays that of the ellipse
 FACE = (0.81, 0.29)
 STEEP = 3.0  # rise of an angular stone from its outline: its top is nearly level
+
+ROCK = 6  # code of records.Terrain
 
 
 class Form(IntEnum):
@@ -91,7 +92,7 @@ def stamp_stones(
                 height[r, c], depth[r, c] = ground[r, c] + rise, 0.0
                 own = look[r, c] if look[r, c] > 0 else by_class[label[r, c]]
                 if t[Column.EXTRA] >= form[Form.ROCK_FROM]:
-                    label[r, c] = Terrain.ROCK
+                    label[r, c] = ROCK
                 look[r, c] = own
                 if form[Form.HIDDEN] > 0.0:
                     n, _, _ = gradient_noise(x[c] / 0.13, y[r] / 0.13, seed + 3)

@@ -90,7 +90,7 @@ class Rocks(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        self.domes(sheet, lay, Terrain.ROCK, (0.12, 1.0, 0.25, 0.06), stamps.Dome.ELLIPSOID, rooted=False)
+        self.domes(sheet, lay, Terrain.ROCK, (0.12, 1.0, 0.25, 0.06), stamps.DomeShape.ELLIPSOID, rooted=False)
 
 
 class Trees(Dome):
@@ -151,9 +151,9 @@ class Trees(Dome):
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         if self.form == "conifer":
-            self.domes(sheet, lay, Terrain.TREE, (0.12, 3.0, 0.5, 0.14), stamps.Dome.CONE, rooted=True)
+            self.domes(sheet, lay, Terrain.TREE, (0.12, 3.0, 0.5, 0.14), stamps.DomeShape.CONE, rooted=True)
         else:
-            self.domes(sheet, lay, Terrain.TREE, (0.0, 1.0, 0.45, 0.17), stamps.Dome.ELLIPSOID, rooted=True)
+            self.domes(sheet, lay, Terrain.TREE, (0.0, 1.0, 0.45, 0.17), stamps.DomeShape.ELLIPSOID, rooted=True)
 
 
 class Shrubs(Dome):
@@ -188,7 +188,7 @@ class Shrubs(Dome):
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         look = (0.2, 1.0, 0.35, 0.14)
-        self.domes(sheet, lay, Terrain.TALL_VEGETATION, look, stamps.Dome.ELLIPSOID, rooted=False)
+        self.domes(sheet, lay, Terrain.TALL_VEGETATION, look, stamps.DomeShape.ELLIPSOID, rooted=False)
 
 
 class Mounds(Dome):
@@ -220,7 +220,9 @@ class Mounds(Dome):
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         kind = -1 if self.kind is None else int(terrain_named(self.kind))
-        shape = {"round": stamps.Dome.ELLIPSOID, "cone": stamps.Dome.CONE, "drum": stamps.Dome.DRUM}[self.form]
+        shape = {"round": stamps.DomeShape.ELLIPSOID, "cone": stamps.DomeShape.CONE, "drum": stamps.DomeShape.DRUM}[
+            self.form
+        ]
         ragged = 0.0 if self.form == "drum" else 0.07
         self.domes(sheet, lay, kind, (0.1, 1.0 if ragged else 0.0, 0.2, ragged), shape, rooted=self.form == "drum")
 
@@ -252,4 +254,4 @@ class Logs(Dome):
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
-        self.domes(sheet, lay, Terrain.TREE, (0.5, 0.0, 0.3, 0.0), stamps.Dome.ELLIPSOID, rooted=False)
+        self.domes(sheet, lay, Terrain.TREE, (0.5, 0.0, 0.3, 0.0), stamps.DomeShape.ELLIPSOID, rooted=False)
