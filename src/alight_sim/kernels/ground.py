@@ -35,7 +35,7 @@ def _class_near(label: U8, gx: float, gy: float) -> tuple[int, int]:
 @kernel
 def _hard(kind: int) -> bool:
     """Whether colours keep to the border of a class."""
-    return kind == TREE or kind == ROCK or kind == STRUCTURE
+    return kind in (TREE, ROCK, STRUCTURE)
 
 
 @kernel
