@@ -62,7 +62,7 @@ def test_what_is_no_number_of_ours(setting: str, words: str, capsys: Told) -> No
 def test_a_number_with_a_leading_zero_is_decimal(capsys: Told) -> None:
     """YAML 1.1 reads 010 as 8."""
     assert call(["settings", "--set", "lander.radius=010"]) == 0
-    assert "  radius: 10.0\n" in capsys.readouterr().out
+    assert "  radius: 10.0  # m\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("command", [["settings", "--settings"], ["simulate", "--out", "x"]])

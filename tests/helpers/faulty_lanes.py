@@ -66,8 +66,8 @@ class FaultyJudging(JudgingLane):
     """Fails at its second map, counted over its processes in a file: `stamps` has one number, of the map."""
 
     def __init__(self, fault: Fault, count: Path, settings: StageSettings, *more: Any) -> None:
-        appearance, memory = more
-        super().__init__(settings, appearance, Timings(), memory)
+        appearance, zones, memory = more
+        super().__init__(settings, appearance, Timings(), memory, zones)
         self._fault, self._count = fault, count
 
     def judge(self, seen: MapSnapshot) -> Verdict:

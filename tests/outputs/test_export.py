@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
-from alight.pipeline.map_frame import MapFrame
+from alight.records.map_frame import MapFrame
 from rosbags.highlevel import AnyReader
 from some_run import GRID, LOCAL, elevation, hazards, some_run, terrain
 

@@ -74,7 +74,8 @@ def test_it_looks_from_lower_and_lower_and_lands_where_it_is_safe(landed: Done) 
     for step in (("search", "approach"), ("look", "descend"), ("look", "commit"), ("commit", "landed")):
         assert step in steps
     assert any(line.startswith("touchdown by the simulator's truth: safe") for line in lines)
-    assert all(line.startswith("warning: ") for line in process.stderr.splitlines())
+    slow = re.compile(r"\w+: \d+% after \d+ s")  # of a demo that takes more than some seconds
+    assert all(line.startswith("warning: ") or slow.match(line) for line in process.stderr.splitlines())
 
 
 def test_its_folder_holds_a_run_with_the_film_of_the_looks(landed: Done) -> None:

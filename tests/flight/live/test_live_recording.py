@@ -223,7 +223,7 @@ def test_a_live_run_keeps_the_recording_of_one_that_crashed(
 def test_a_recording_is_not_flown_into_its_own_folder(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("alight.compiled.is_warm", lambda: True)
+    monkeypatch.setattr("alight.compiled.is_warm", lambda use="flight": True)
     for module, work in ((run, "Live"), (replay, "replay")):
         monkeypatch.setattr(module, work, lambda *_, **__: pytest.fail("the work was begun"))
     write_run(some_run(), tmp_path / "out")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 import pytest
 from made_up_ground import Flight, Ground, bad_from_below, clearer_from_below, settings
 from pilot_rig import PilotRig
@@ -16,7 +17,7 @@ from some_run import LOCAL, site
 from alight.flight.executive.bounds import Bounds
 from alight.flight.executive.executive import Executive
 from alight.flight.executive.search import Goal
-from alight.geometry.zones import Circle, Region, Zone
+from alight.geometry.zones import Region, Zone
 from alight.outputs.reading import EarlierSite, read_sites
 from alight.outputs.vectors import sites_geojson
 from alight.records import InputError, Sites
@@ -64,7 +65,7 @@ def test_a_goal_that_is_refused_from_above_is_named() -> None:
 
 def test_goals_in_another_frame_and_outside_the_region() -> None:
     """The map is off by metres; the plane of the region is the autopilot's."""
-    shift, region = np.array([3.0, -4.0]), Region((Zone("pond", Circle(np.array(FAR), 5.0), False),))
+    shift, region = np.array([3.0, -4.0]), Region((Zone("pond", shapely.Point(FAR), False, 5.0),))
     f = Flight(Ground(PLACES), Executive(settings()), lambda now, executive: _with(now, shift))
     bounds = Bounds(settings(), region)
     assert bounds.objection(np.array(FAR)) == "outside the fence (pond)"
