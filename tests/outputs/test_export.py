@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
-from alight.records.map_frame import MapFrame
 from rosbags.highlevel import AnyReader
 from some_run import GRID, LOCAL, elevation, hazards, some_run, terrain
 
@@ -22,6 +21,7 @@ from alight.outputs.recorder import Recorder
 from alight.pipeline import Verdict
 from alight.records import Frame, Motion, Telemetry
 from alight.records.codec import FlightHead
+from alight.records.map_frame import MapFrame
 from alight.runner.opening import open_source
 from alight.settings import ImuNoise, Settings
 

@@ -132,7 +132,7 @@ def test_the_last_line_of_a_campaign_is_flown_again(
 
 
 def _again(landing: int) -> tuple[object, None]:
-    return LandingRecord.model_validate(campaign_line(landing)), None
+    return LandingRecord.model_validate(campaign_line(landing)), None, None
 
 
 @pytest.mark.parametrize(

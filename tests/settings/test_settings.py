@@ -234,7 +234,7 @@ def test_settings_are_printed_with_their_units() -> None:
     ):
         assert line in lines
     assert "  max_slope: 10deg" in Settings().to_yaml().splitlines()
-    assert "    gyro_noise: null" in lines  # of a unit that cannot be written
+    assert "    acceleration_sigma: 2.0" in lines  # of a unit that cannot be written
     assert "| `lander.max_slope` | 10deg | Steepest slope of the ground, rad |" in settings_page()
 
 

@@ -276,9 +276,7 @@ def why_no_site(hazards: HazardMap, elevation: ElevationMap, settings: SitesSett
 
 def _zones_of(bit: Hazard, hazards: HazardMap, most: int = 3) -> str:
     """Return the names of the zones behind a reason of refusal, the largest first, in brackets; else empty."""
-    if bit not in (Hazard.ZONE, Hazard.AVOID) or hazards.zone is None:
+    if not (largest := hazards.zones_behind(bit)):
         return ""
-    counts = np.bincount(hazards.zone[(hazards.reasons & bit) != 0], minlength=len(hazards.zone_labels) + 1)[1:]
-    largest = [hazards.zone_labels[k] for k in np.argsort(-counts, kind="stable") if counts[k]]
     more = f", {len(largest) - most} more" if len(largest) > most else ""
     return f" ({', '.join(largest[:most])}{more})"

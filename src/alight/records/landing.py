@@ -81,6 +81,13 @@ class HazardMap(OnGrid):
     zone_labels: tuple[str, ...] = ()
     preferred: Mask | None = None  # (R, C) in a zone whose sites rank higher; None: nowhere
 
+    def zones_behind(self, bit: Hazard) -> list[str]:
+        """Return the labels of the zones that set ZONE or AVOID anywhere, the largest first; none for other reasons."""
+        if self.zone is None or bit not in (Hazard.ZONE, Hazard.AVOID):
+            return []
+        counts = np.bincount(self.zone[(self.reasons & bit) != 0], minlength=len(self.zone_labels) + 1)[1:]
+        return [self.zone_labels[k] for k in np.argsort(-counts, kind="stable") if counts[k]]
+
     def words(self, words: Mapping[Hazard, str], row: int, col: int) -> str:
         """Return the reasons of a cell in words, with the zone's name; empty: there is none."""
         reasons = Hazard(int(self.reasons[row, col]))

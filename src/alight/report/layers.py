@@ -53,7 +53,9 @@ def layers_of(result: RunResult, elevation: ElevationMap) -> Iterator[MapLayer]:
 
 def _safety(h: HazardMap) -> Iterator[MapLayer]:
     caption = "Probability of a safe touchdown over the worst heading; empty where it cannot be judged."
-    yield MapLayer("p_safe", measured("P(safe)", "chance", h.grid, h.p_safe, chances()), Colours(caption, paint.SAFE_RAMP))
+    yield MapLayer(
+        "p_safe", measured("P(safe)", "chance", h.grid, h.p_safe, chances()), Colours(caption, paint.SAFE_RAMP)
+    )
     for name, title, values in (
         ("p_relief", "relief", h.p_relief), ("p_obstacle", "unseen obstacles", h.p_obstacle),
         ("p_ground", "ground", h.p_ground), ("p_wires", "wires", h.p_wires),

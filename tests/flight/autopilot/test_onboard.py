@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -100,7 +101,8 @@ def test_two_zones_that_keep_it_in(dialect: str, options: int, inside: bool) -> 
     two = [item for east in (0.0, 30.0) for item in fence_circle((east, 0.0), 20.0, HOME.degrees, True)]
     region = reading(r, *r.ready().vehicle.firmware.fence_parameters, fence=two).vehicle.fence_of(LOCAL)
     assert bool(room(region, np.array([[-5.0, 0.0]]))[0] > 0) is inside
-    assert room(region, np.array([[15.0, 0.0]]))[0] == pytest.approx(5.0, abs=0.05)
+    waist = math.sqrt(20.0**2 - 15.0**2)  # m, where the circles meet
+    assert room(region, np.array([[15.0, 0.0]]))[0] == pytest.approx(waist if inside else 5.0, abs=0.05)
 
 
 def corner(count: float = 4.0, command: int = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION) -> StoredItem:

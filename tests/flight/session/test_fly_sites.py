@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
 import pytest
+import shapely
 from made_up_ground import Flight, Ground, bad_from_below, clearer_from_below, settings
 from pilot_rig import PilotRig
 from some_run import LOCAL, site

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,8 +15,9 @@ from pilot_rig import PLACE, WRONG, PilotRig
 
 from alight.checks.result import Judged
 from alight.flight.session import preflight as p
+from alight.landing.zones import MapZones
 from alight.records import GroundZone, Zones, ZonesOnPlane
-from alight.records.executive import FlightState
+from alight.records.executive import FlightState, MapVerdict
 from alight.records.telemetry import FirmwareName
 from alight.settings import Settings
 
@@ -167,3 +169,19 @@ def judged(zone: GroundZone, height: float) -> p.CheckResult:
 def test_the_check_before_a_flight_names_the_zone(zone: GroundZone, height: float, verdict: Judged, words: str) -> None:
     found = judged(zone, height)
     assert (found.verdict, words in found.evidence) == (verdict, True), found
+
+
+def test_where_zones_refuse_all_ground_of_the_map_it_returns_and_names_them() -> None:
+    """No place is listed then: the map's own verdict has the zones."""
+    plain = Ground({})
+
+    def see(number: int, t: float, at: np.ndarray) -> MapVerdict:
+        found = plain.seen(number, t, at)
+        field = ZonesOnPlane((GroundZone("farm", "keep-out", shapely.box(-900, -900, 900, 900)),))
+        return replace(found, hazards=MapZones(field, DISC).judged(found.hazards))
+
+    r = PilotRig(see, settings=("executive.search_side=30",))
+    r.up_and_flying(30.0)
+    r.begin()
+    assert r.fly(S.RETURN)
+    assert "ground is refused by keep-out zone farm" in r.pilot.diary.transitions[-1].reason

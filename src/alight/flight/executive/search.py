@@ -12,7 +12,7 @@ from alight.arrays import F64
 from alight.flight.executive.limits import AttemptLimits
 from alight.flight.executive.places import KnownPlaces, Standing, opinion
 from alight.flight.executive.ways import ClearWay, SearchLanes
-from alight.records import Site, p_safe_text
+from alight.records import Hazard, Site, p_safe_text
 from alight.records.executive import LookRecord, MapVerdict, Situation
 from alight.settings import StageSettings
 
@@ -83,7 +83,9 @@ class Search:
         if found is None:
             unseen = "" if ground is not None else "; no height could be measured"
             fates = self._places.fates(self._clear_way.bounds)
-            return SearchStep(why=f"within {self._keys.search_side:.0f} m{fates}{unseen}")
+            zones = [] if seen is None else seen.hazards.zones_behind(Hazard.ZONE)
+            refused = f"; ground is refused by {', '.join(zones)}" if zones else ""
+            return SearchStep(why=f"within {self._keys.search_side:.0f} m{fates}{refused}{unseen}")
         return SearchStep(found, why=f"{found.kind}, P(safe) {p_safe_text(found.p_safe)}")
 
     def _is_judged(self, now: Situation, t: float, seen: MapVerdict | None) -> bool:
