@@ -131,7 +131,7 @@ def test_the_last_line_of_a_campaign_is_flown_again(
         assert [json.loads(line)["conditions"]["landing"] for line in path.read_text().splitlines()] == [0, 1, 2]
 
 
-def _again(landing: int) -> tuple[object, None]:
+def _again(landing: int) -> tuple[object, None, None]:
     return LandingRecord.model_validate(campaign_line(landing)), None, None
 
 
