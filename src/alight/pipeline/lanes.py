@@ -78,6 +78,7 @@ def conclude(
     progress: StageProgress = unreported,
 ) -> Decision:  # fmt: skip
     """Finish all lanes: refine the motion, build and judge the map; return the decision, in the world frame."""
+    progress("motion", 0.0)
     with timings.of("motion, all frames together"):
         trajectory = navigation.finish(partial(progress, "motion"))
     warnings = list(trajectory.warnings)
@@ -87,6 +88,7 @@ def conclude(
     )  # fmt: skip
     if not trajectory.usable:
         return moved
+    progress("heights", 0.0)
     found = mapping.finish(trajectory, partial(progress, "heights"))
     warnings += found.warnings
     if found.snapshot is None:
