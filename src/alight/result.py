@@ -6,13 +6,16 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from alight.outputs import write_run
 from alight.outputs.reading import read_evidence
 from alight.records import ElevationMap, HazardMap, Motion, Route, RunResult, Site, TerrainMap
 from alight.settings import Lander, Settings
 from alight.settings.units import with_degrees
+
+if TYPE_CHECKING:
+    import xarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +124,24 @@ class Result:
         given = {} if lander is None else {"lander": with_degrees(lander.model_dump(mode="json"), Lander)}
         chosen = settings_to_judge(self.settings, {**given, **(settings or {})})
         return Result(judge_again(self.record, chosen, time.perf_counter))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the rasters as an xarray dataset: variables such as `height` and `p_safe` over `north` and `east`.
+
+        Heights are metres above the recording's origin, NaN where unknown; the cells are those of the heights.
+
+        Raises:
+            MissingExtraError: xarray is not installed.
+        """
+        from alight.notebook import dataset
+
+        return dataset(self.record)
+
+    def _repr_html_(self) -> str:
+        """Return the map and the table of sites and candidates, for notebooks."""
+        from alight.notebook import result_html
+
+        return result_html(self.record)
 
     def save(self, out: str | Path, overwrite: bool = False) -> list[Path]:
         """Write the folder of results (docs/formats/outputs.md) and return the paths of the files written.

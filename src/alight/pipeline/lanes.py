@@ -81,6 +81,7 @@ def conclude(
 ) -> Decision:  # fmt: skip
     """Finish all lanes: refine the motion, build and judge the map; return the decision, in the world frame."""
     given = {} if zones is None else {"zones": zones.plane.note}
+    progress("motion", 0.0)
     with timings.of("motion, all frames together"):
         trajectory = navigation.finish(partial(progress, "motion"))
     warnings = [*(zones.plane.warnings if zones else ()), *trajectory.warnings]
@@ -90,6 +91,7 @@ def conclude(
     )  # fmt: skip
     if not trajectory.usable:
         return moved
+    progress("heights", 0.0)
     found = mapping.finish(trajectory, partial(progress, "heights"))
     warnings += found.warnings
     if found.snapshot is None:
