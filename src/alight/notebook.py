@@ -53,10 +53,11 @@ def _map(result: RunResult) -> str:
         marks.append(
             f'{ring} fill="none" stroke="#fff" stroke-width="4"{dashes}/><text x="{x}" y="{y}">{s.rank}</text>'
         )
+    picture = photo(elevation, c, round(canvas.WIDTH))
     return (
         f'<svg viewBox="0 0 {canvas.WIDTH:g} {c.height:.1f}" style="max-width: 40em" role="img" '
         'font-size="30" font-family="sans-serif" text-anchor="middle" fill="#fff" stroke="#000" stroke-width="1">'
-        f'<title>Map, north up</title><image href="{photo(elevation, c, round(canvas.WIDTH))}" width="{canvas.WIDTH:g}"/>'
+        f'<title>Map, north up</title><image href="{picture}" width="{canvas.WIDTH:g}"/>'
         f"{''.join(marks)}</svg>"
     )
 

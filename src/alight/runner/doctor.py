@@ -16,8 +16,8 @@ from alight import __version__, compiled
 EXTRAS = {  # what each extra is for
     "photos": "folders of photos", "heic": "photos of phones (HEIC)", "raw": "photos as DNG",
     "films": "telemetry in the tracks of a film, without ffmpeg", "logs": "logs of PX4 and ArduPilot beside frames",
-    "fly": "an autopilot over MAVLink", "las": "point clouds (alight export --las)", "cluster": "several machines, by Dask",
-    "notebooks": "rasters as xarray",
+    "fly": "an autopilot over MAVLink", "las": "point clouds (alight export --las)",
+    "cluster": "several machines, by Dask", "notebooks": "rasters as xarray",
 }  # fmt: skip
 LINKS = ("ttyACM*", "ttyUSB*", "ttyAMA*", "ttyTHS*", "cu.usb*")  # files of serial links in /dev
 
