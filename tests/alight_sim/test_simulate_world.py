@@ -9,7 +9,7 @@ import rasterio
 
 from alight.geometry import Grid, LocalFrame
 from alight.records import InputError, Terrain
-from alight_sim.kernels.layers import BLOCK, Relief, add_fractal, along_line, box_mean, sun_margin, tile_block_tops
+from alight_sim.kernels.layers import BLOCK, ReliefForm, add_fractal, along_line, box_mean, sun_margin, tile_block_tops
 from alight_sim.kernels.noise import gradient_noise
 from alight_sim.kernels.stamps import Column
 from alight_sim.looks import Look
@@ -406,14 +406,14 @@ def test_fractal_agrees_with_noise_summed_one_by_one():
     rng = np.random.default_rng(3)
     x, y = rng.uniform(-900, 900, (2, 5, 4))
     lengths, gains = np.array([7.0, 3.5, 1.75]), np.array([1.0, 0.6, 0.3])
-    for form in (Relief.HILLS, Relief.RIDGES):
+    for form in (ReliefForm.HILLS, ReliefForm.RIDGES):
         out = np.ones_like(x)
         add_fractal(x, y, lengths, gains, form, 17, out)
         expected, c, s = np.ones_like(x), 1.0, 0.0
         for k in range(3):
             u, v = (c * x - s * y) / lengths[k], (s * x + c * y) / lengths[k]
             n = np.vectorize(lambda a, b, k=k: gradient_noise(a, b, 17 + 101 * k)[0])(u, v)
-            expected += gains[k] * (n if form == Relief.HILLS else 1.9 * (0.7 - np.abs(n)))
+            expected += gains[k] * (n if form == ReliefForm.HILLS else 1.9 * (0.7 - np.abs(n)))
             c, s = 0.7986 * c - 0.6018 * s, 0.6018 * c + 0.7986 * s
         assert np.abs(out - expected).max() < 2e-3  # single precision, some hundred lattice steps apart in a row
 

@@ -30,15 +30,15 @@ def test_missing_extras_are_named_with_what_they_are_for(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def version(name: str) -> str:
-        if name == "rosbags":
+        if name == "laspy":
             raise metadata.PackageNotFoundError(name)
         return "1.0"
 
     monkeypatch.setattr("alight.runner.doctor.version", version)
     assert call(["doctor"]) == 0
     missing = [line for line in capsys.readouterr().out.splitlines() if line.startswith("no extra")]
-    assert [line.split() for line in missing] == [
-        ["no", "extra", "bags", "ROS", "bags:", "pip", "install", "'alight[bags]'", "(rosbags)"]
+    assert [" ".join(line.split()) for line in missing] == [
+        "no extra las point clouds (alight export --las): pip install 'alight[las]' (laspy)"
     ]
 
 

@@ -70,11 +70,11 @@ class FaultyJudging(JudgingLane):
         super().__init__(settings, appearance, Timings(), memory, zones)
         self._fault, self._count = fault, count
 
-    def judge(self, seen: MapSnapshot) -> Verdict:
+    def judge_at_end(self, seen: MapSnapshot) -> Verdict:
         with self._count.open("a") as f:
             f.write(".")
         self._fault.strike(self._count.stat().st_size)
-        return super().judge(seen)
+        return super().judge_at_end(seen)
 
 
 class IdleOrBusy:

@@ -48,7 +48,7 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_result_shows_a_map_and_a_table() -> None:
     html = Result(some_run(sites=Sites((site(), site(2, 12.0, 6.0)), candidates=(candidate(3),))))._repr_html_()
     tree = ElementTree.fromstring(f"<div>{html}</div>")
-    assert tree.findtext("p") == "meadow <north> & pond, 2 sites, 1 candidate"
+    assert tree.findtext("p") == "meadow <north> & pond, two sites, one candidate"
     assert len(tree.findall("svg/circle")) == 3
     rows = [[cell.text or "" for cell in row] for row in tree.findall("table/tr")]
     assert [row[0] for row in rows] == ["", "site 1", "site 2", "candidate 3"]
