@@ -30,6 +30,16 @@ for method in ("batch", "recursive"):
     replay.replay(open_source(folder, settings), settings)
 print(json.dumps(listener.names))
 """
+CALL = """
+import json
+import numpy as np
+from alight import compiled
+from alight.motion.rotation_kernels import exponential
+
+listener = compiled.CompilationListener()
+exponential(0.1, 0.2, 0.3, np.zeros((3, 3)))
+print(json.dumps(listener.names))
+"""
 SMALL = {"alight.motion.rotation_kernels.multiply", "alight.motion.rotation_kernels.exponential"}
 
 
@@ -63,6 +73,8 @@ def test_processes_share_the_work_and_keep_it(tmp_path: Path, monkeypatch: pytes
     assert not compiled.is_warm("photos")
     assert {p.name.split(".")[1].rsplit("-", 1)[0] for p in tmp_path.rglob("*.nbi")} >= {n.rsplit(".")[-1] for n in few}
     compile_loops("flight", progress=lambda stage, share: pytest.fail("nothing is left to compile"))
+    called = subprocess.run([sys.executable, "-c", CALL], capture_output=True, text=True, check=True)
+    assert json.loads(called.stdout) == []
 
 
 def test_a_loop_that_does_not_exist_is_named() -> None:

@@ -56,7 +56,7 @@ if CACHE is not None:
 mend_threads()
 
 import numba  # noqa: E402  (the environment must be set first)
-from numba.core import event  # noqa: E402
+from numba.core import event, sigutils  # noqa: E402
 from numba.core.caching import FunctionCache, IndexDataCacheFile  # noqa: E402
 from numba.core.registry import CPUDispatcher  # noqa: E402
 
@@ -222,6 +222,11 @@ def load_cached(parallel: bool) -> int:
                 loop.compile(key[0])
                 loaded += 1
     return loaded
+
+
+def compile_form(loop: Any, types: str) -> None:
+    """Compile a form of a loop, or load it from the cache; `types`: of its arguments, as the compiler prints them."""
+    loop.compile(sigutils.normalize_signature(types)[0])  # the cache keeps a form by its types, not by their text
 
 
 def _mark(folder: Path, use: str) -> Path:

@@ -32,7 +32,7 @@ def compile_loop(name: str, forms: Sequence[str]) -> None:
     module, _, function = name.rpartition(".")
     loop: Any = getattr(importlib.import_module(module), function)
     for form in forms:
-        loop.compile(form)
+        compiled.compile_form(loop, form)
 
 
 def compile_loops(
