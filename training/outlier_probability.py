@@ -28,6 +28,7 @@ from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.raster import upsample
 from alight.records import Flag, Heights, Terrain
 from alight.settings import Settings
+from alight.settings.tuning.parallax import UncertaintyTuning
 
 FLIGHTS = (
     "meadow/20m/tuning-1", "yard/20m/tuning-1", "village/50m/tuning-1", "quarry/50m/tuning-1", "forest/50m/tuning-1",
@@ -124,7 +125,7 @@ def main() -> None:
     print("wrong_match of learned/heights.yaml:", {k: round(float(v), 2) for k, v in fitted})
     for label, (X, y) in zip(labels, parts, strict=True):
         p = 1 / (1 + np.exp(-(np.c_[X, np.ones(len(X))] @ b)))
-        kept = p < 0.5
+        kept = p < UncertaintyTuning().max_outlier
         print(
             f"{label}: given out {100 * kept.mean():.1f} %, of these wrong {100 * (y & kept).sum() / kept.sum():.2f} %"
         )

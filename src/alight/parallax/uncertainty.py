@@ -160,7 +160,7 @@ def judged(
     near |= _bit((grey < 3) | (grey > 252), Flag.SATURATED)
     near |= _bit(np.maximum(terms["drop"], terms["rise"]) > tuning.step_px, Flag.STEP)
     near |= _bit(seen.texture + seen.noise < (tuning.min_contrast / NORM_FLOOR) ** 2, Flag.TEXTURE)
-    near |= _bit(outlier_probability(terms) > 0.5, Flag.UNSURE)  # more likely wrong than right
+    near |= _bit(outlier_probability(terms) > tuning.max_outlier, Flag.UNSURE)
     edge = 0.01 * (searched[1] - searched[0])
     sigma, residual, flags = (np.empty(grid.shape, t) for t in (np.float32, np.float32, np.uint16))
     # eq. 14 for each cell; `pooled` has it for 2 x 2 cells

@@ -65,6 +65,7 @@ class RefinementTuning(FrozenModel):
 class UncertaintyTuning(FrozenModel):
     """Constants of the height flags and of moving ground; sigma and wrong matches are fitted (`alight.learned`)."""
 
+    max_outlier: Fraction = Field(0.45, description="Largest probability of a wrong match; above: UNSURE")
     min_contrast: Positive = Field(0.7, description="Least contrast of the views, grey levels; below: TEXTURE")
     max_residual: Fraction = Field(
         0.5, description="Largest share of the variance nearby that the views do not have in common; above: MOVING"
