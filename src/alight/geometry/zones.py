@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 
 from alight.arrays import F64, Mask
+from alight.geometry.grid import Grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +87,12 @@ EVERYWHERE = Region(())
 def united(name: str, zones: Iterable[Zone]) -> Zone:
     """Return one zone that keeps a vehicle in any of `zones`."""
     return Zone(name, shapely.union_all([z.area for z in zones]), True)
+
+
+def rectangle_of(grid: Grid) -> shapely.Geometry:
+    """Return the rectangle that the cells of a grid cover, metres."""
+    cell, _, west, _, _, north = grid.transform
+    return shapely.box(west, north - grid.rows * cell, west + grid.cols * cell, north)
 
 
 def _prepared(shape: shapely.Geometry) -> shapely.Geometry:

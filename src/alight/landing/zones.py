@@ -14,6 +14,7 @@ from rasterio.features import rasterize
 
 from alight.arrays import F64, U16
 from alight.geometry import Grid
+from alight.geometry.zones import rectangle_of
 from alight.raster import clearance_of
 from alight.records import Hazard, HazardMap, NearZone, Site, Sites
 from alight.records.zones import ONLY, GroundZone, Use, ZonesOnPlane, cut
@@ -41,7 +42,7 @@ class MapZones:
     def judged(self, hazards: HazardMap, offset: F64 | tuple[float, float] = (0.0, 0.0)) -> HazardMap:
         """Return the hazards with the reasons of the zones; P(safe), the chance that the lander stands, stays."""
         grid = replace(hazards.grid, east=hazards.grid.east + offset[0], north=hazards.grid.north + offset[1])
-        drawn = [t for t in self._against(_frame(grid)) if not t.area.is_empty]
+        drawn = [t for t in self._against(rectangle_of(grid)) if not t.area.is_empty]
         zone = _drawn([t.area for t in drawn], grid)
         reasons = hazards.reasons | np.array([0, *(t.reason for t in drawn)], np.uint16)[zone]
         preferred = _drawn([z.shape for z in self.plane.of("prefer")], grid) > 0
@@ -91,11 +92,6 @@ class MapZones:
         inside = away.min() <= 0.0
         bearing = math.nan if inside else math.atan2(to[0], to[1]) % (2.0 * math.pi)
         return NearZone(nearest.label, 0.0 if inside else float(away.min()), bearing)
-
-
-def _frame(grid: Grid) -> shapely.Geometry:
-    cell, _, west, _, _, north = grid.transform
-    return shapely.box(west, north - grid.rows * cell, west + grid.cols * cell, north)
 
 
 def _drawn(areas: list[shapely.Geometry], grid: Grid) -> U16:

@@ -110,7 +110,7 @@ def outlines(result: RunResult, c: Canvas) -> list[ZoneMark]:
     out = []
     for z, area in survey.zone_areas(result, c.grid):
         area = area.simplify(1.0 / c.per_metre)
-        rings = [r for p in shapely.get_parts(area) if p.area > 0.0 for r in (p.exterior, *p.interiors)]
+        rings = [ring for part in survey.rings_of(area) for ring in part]
         path = " ".join("M" + " L".join("{} {}".format(*c.xy(x, y)) for x, y in ring.coords) + "Z" for ring in rings)
         if path:
             x0, _, x1, _ = area.bounds

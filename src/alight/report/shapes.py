@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import shapely
 
 from alight.geometry import Grid
 from alight.records import RunResult
@@ -39,10 +38,8 @@ def shapes_of(result: RunResult) -> Iterator[Shape]:
         yield Shape("Footprints of the pictures", "footprint", "Polygon", [_line(ring)], hidden=True)
     areas = [] if result.elevation is None else survey.zone_areas(result, result.elevation.grid)
     for zone, area in areas:
-        for part in shapely.get_parts(area):
-            if part.area > 0.0:
-                rings = [_line(ring.coords) for ring in (part.exterior, *part.interiors)]
-                yield Shape("Zones", f"zone {zone.use}", "Polygon", rings, zone.label)
+        for rings in survey.rings_of(area):
+            yield Shape("Zones", f"zone {zone.use}", "Polygon", [_line(r.coords) for r in rings], zone.label)
     for wire in result.hazards.wires if result.hazards is not None else ():
         text = f"wire, {words.percent(wire.chance)} sure"
         yield Shape("Wires", "wire", "LineString", _line([wire.start, wire.end]), text)

@@ -12,6 +12,7 @@ import shapely
 
 from alight.arrays import F64
 from alight.geometry import Grid
+from alight.geometry.zones import rectangle_of
 from alight.records import RunResult
 from alight.records.zones import USES, GroundZone
 from alight.report import words
@@ -82,10 +83,14 @@ def gps_residuals(result: RunResult) -> Residuals | None:
     return Residuals(photos, float(away.max()), float(np.sqrt((away**2).mean())))
 
 
+def rings_of(area: shapely.Geometry) -> list[list[shapely.Geometry]]:
+    """Return the rings of each polygon of an area, the outer one first; lines and points are left out."""
+    return [[p.exterior, *p.interiors] for p in shapely.get_parts(area) if p.area > 0.0]
+
+
 def zone_areas(result: RunResult, grid: Grid) -> list[tuple[GroundZone, shapely.Geometry]]:
     """Return the zones with their areas on a grid, metres; those to keep out of come last, to be drawn on top."""
-    cell, _, west, _, _, north = grid.transform
-    window = shapely.box(west, north - grid.rows * cell, west + grid.cols * cell, north)
+    window = rectangle_of(grid)
     zones = sorted(result.zones.zones, key=lambda z: USES[::-1].index(z.use))
     areas = ((z, z.shape.buffer(z.reach).intersection(window)) for z in zones)
     return [(z, area) for z, area in areas if not area.is_empty]

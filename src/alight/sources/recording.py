@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from alight.records import Event, Frame, ImuSample, InputError, NavSample, Rig, 
 from alight.records.codec import CAMERAS, FORMAT, HEAD, IMU, NAV, NOTES, SCHEDULE, FlightHead
 from alight.settings import Settings
 from alight.sources.bags.files import decode
-from alight.sources.bags.mcap_file import RawMessage, read_mcap
+from alight.sources.bags.mcap_file import RawMessage, read_mcap, up_to_damage
 from alight.sources.bags.streams import stamp_of
 from alight.sources.calibrated_folder import IMU_NOISE
 from alight.sources.calibration import why_no_lens
@@ -201,16 +202,10 @@ class Recording(Source):
 
     def _messages(self) -> Iterator[RawMessage | Metadata]:
         """Yield the head and every message; if the file ends early, warn and stop."""
-        some = False
-        try:
-            with self._path.open("rb") as file:
-                for found in read_mcap(file):
-                    if isinstance(found, RawMessage) or found.name == HEAD:
-                        some = True
-                        yield found
-        except OSError as e:
-            raise InputError(f"{self._path}: cannot be read ({e.strerror or e}); check the permissions") from e
-        except Exception as e:  # damaged bytes can make the library raise any exception
-            if not some:
-                raise InputError(f"{self._path}: no recording of Alight and no ROS bag (MCAP); copy it again") from e
-            self.findings.warn("the recording ends early, as after a loss of power: what came before it is used")
+        early = "the recording ends early, as after a loss of power: what came before it is used"
+        warn = partial(self.findings.warn, early)
+        yield from up_to_damage(self._own(), self._path, "no recording of Alight and no ROS bag (MCAP)", warn)
+
+    def _own(self) -> Iterator[RawMessage | Metadata]:
+        with self._path.open("rb") as file:
+            yield from (m for m in read_mcap(file) if isinstance(m, RawMessage) or m.name == HEAD)

@@ -11,7 +11,7 @@ import struct
 from bz2 import decompress as from_bz2
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -19,8 +19,7 @@ from urllib.parse import quote
 
 from lz4.frame import decompress as from_lz4
 
-from alight.records import InputError
-from alight.sources.bags.mcap_file import MessageType, RawMessage, read_mcap
+from alight.sources.bags.mcap_file import MessageType, RawMessage, read_mcap, up_to_damage
 from alight.sources.source import Findings
 
 BAG_HEADER, CHUNK, CONNECTION, MESSAGE = b"\x03", b"\x05", b"\x07", b"\x02"  # kinds of records of a ROS 1 bag
@@ -35,17 +34,8 @@ def messages_of(files: Sequence[Path], wanted: Callable[[str, str], bool], findi
     """
     for path in files:
         read = {".db3": _of_sqlite, ".mcap": _of_mcap}.get(path.suffix.lower(), _of_ros1)
-        some = False
-        try:
-            for message in read(path, wanted):
-                some = True
-                yield message
-        except OSError as e:
-            raise InputError(f"{path}: cannot be read ({e.strerror or e}); check the permissions") from e
-        except Exception as e:  # damaged bytes can make the libraries raise any exception
-            if not some:
-                raise InputError(f"{path}: no message can be read ({' '.join(str(e).split())}); copy it again") from e
-            findings.warn(f"{path.name} ends early, as after a loss of power: what came before it is used")
+        early = f"{path.name} ends early, as after a loss of power: what came before it is used"
+        yield from up_to_damage(read(path, wanted), path, "no message can be read ({})", partial(findings.warn, early))
 
 
 def _of_ros1(path: Path, wanted: Callable[[str, str], bool]) -> Iterator[RawMessage]:

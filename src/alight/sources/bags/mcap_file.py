@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import BinaryIO, NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import BinaryIO, NamedTuple, TypeVar
 
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
+from alight.records import InputError
 from alight.records.codec import HEAD
+
+Found = TypeVar("Found")
 
 
 class MessageType(NamedTuple):
@@ -50,6 +54,25 @@ def read_mcap(file: BinaryIO) -> Iterator[RawMessage | Metadata]:
         elif isinstance(record, Message) and record.channel_id in topics:
             topic, kind = topics[record.channel_id]
             yield RawMessage(topic, kind, record.log_time, record.data)
+
+
+def up_to_damage(found: Iterable[Found], path: Path, damaged: str, on_early_end: Callable[[], None]) -> Iterator[Found]:
+    """Yield what is read of a file; if it ends early, call `on_early_end` and stop.
+
+    Raises:
+        InputError: the system cannot read the file, or nothing was read; then `damaged`, with {} for the error.
+    """
+    some = False
+    try:
+        for one in found:
+            some = True
+            yield one
+    except OSError as e:
+        raise InputError(f"{path}: cannot be read ({e.strerror or e}); check the permissions") from e
+    except Exception as e:  # damaged bytes can make the libraries raise any exception
+        if not some:
+            raise InputError(f"{path}: {damaged.format(' '.join(str(e).split()))}; copy it again") from e
+        on_early_end()
 
 
 def is_ros_mcap(file: BinaryIO) -> bool:
