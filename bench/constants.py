@@ -82,9 +82,10 @@ class Case:
         lane = Pipeline(self.flight.rig, "flight", settings, PipelineOptions(imu=self.flight.imu_noise))
         begin = process_time()
         online = [m for e in self.events if (m := lane.feed(e)) is not None]
-        motions, found = finished(lane, settings)
+        end = finished(lane, settings)
+        found = end.elevation
         took = process_time() - begin
-        (out, _), (smoothed, drift) = self._motion(online), self._motion(motions)
+        (out, _), (smoothed, drift) = self._motion(online), self._motion(end.motions)
         out |= {"log path": smoothed["log position"]}
         out |= self._heights(found, drift) | {"log CPU": math.log(took)}
         digest = hashlib.sha256(str(sorted((k, v) for k, v in out.items() if k != "log CPU")).encode())

@@ -101,7 +101,7 @@ class Row:
 def judged(j: Judgeable, settings: Settings) -> tuple[HazardMap, tuple[Site, ...]]:
     """The hazard map, and the listed places."""
     s, cover = settings.stages(), find_land_cover(j.elevation, settings.stages().terrain, read_model())
-    danger = hazards.assess(j.elevation, cover, s.lander, s.hazards)
+    danger = hazards.assess(j.elevation, cover, s.lander, s.hazards, wires=j.wires)
     middle = j.elevation.grid
     above = Observer(
         np.array([middle.east, middle.north, float(np.nanmedian(j.elevation.height)) + 30.0]), 30.0, 480.0, True

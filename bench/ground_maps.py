@@ -6,6 +6,7 @@ Flying and matching are most of the work, and neither depends on the judgement: 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -22,9 +23,10 @@ from alight.documents import parse_yaml, read_text
 from alight.elevation import FIELDS
 from alight.evaluation.flight import FlightTruth, read_flight_truth
 from alight.geometry import Grid
+from alight.parallax.wires.find import find_wires
 from alight.pipeline import Pipeline, PipelineOptions
 from alight.pipeline.judging import as_judged, find_land_cover
-from alight.records import Datum, ElevationMap, Flag, Motion, TerrainMap
+from alight.records import Datum, ElevationMap, Flag, Motion, TerrainMap, Wire
 from alight.runner.opening import open_source
 from alight.settings import Settings, load_settings
 from alight.sources import Source
@@ -47,6 +49,7 @@ class Judgeable:
     name: str
     elevation: ElevationMap
     truth: FlightTruth  # on its own grid, less the path's mean error
+    wires: tuple[Wire, ...] = ()  # as the judging lane finds them
 
     @cached_property
     def label(self) -> U8:
@@ -71,14 +74,14 @@ class Judgeable:
         return self.truth.grid.nearest_on(self.elevation.grid, values)
 
 
-def write_map(path: Path, e: ElevationMap, truth: FlightTruth, **more: object) -> None:
+def write_map(path: Path, e: ElevationMap, truth: FlightTruth, wires: Sequence[Wire] = (), **more: object) -> None:
     """Keep a map beside its truth, and `more` arrays or numbers with it."""
     datum = e.datum or Datum(0.0, 0.0, np.zeros((3, 3)))
     np.savez_compressed(
         path,
         grid=_numbers(e.grid), datum=np.concatenate([[datum.east, datum.north], datum.covariance.ravel()]),
         fine=e.fine, fine_sampling=e.fine_sampling, truth_grid=_numbers(truth.grid),
-        dem=truth.dem, label=truth.label,
+        dem=truth.dem, label=truth.label, wires=np.array([[*w.start, *w.end, w.chance] for w in wires]).reshape(-1, 7),
         **{k: getattr(e, k) for k in FIELDS}, **more,
     )  # fmt: skip
 
@@ -98,7 +101,8 @@ def read_map(path: Path, name: str) -> Judgeable:
         datum = Datum(float(g[0]), float(g[1]), g[2:].reshape(3, 3)) if g.any() else None
         fields = {k: z[k] for k in (*FIELDS, "fine", "fine_sampling")}
         e = ElevationMap(_grid(z["grid"]), **fields, datum=datum)
-        return Judgeable(name, e, FlightTruth(z["dem"], z["label"], _grid(z["truth_grid"])))
+        wires = tuple(Wire(w[:3], w[3:6], float(w[6])) for w in z["wires"])
+        return Judgeable(name, e, FlightTruth(z["dem"], z["label"], _grid(z["truth_grid"])), wires)
 
 
 def _lane(source: Source | SimulatedFlight, how: How) -> Pipeline:
@@ -115,11 +119,24 @@ def _drift(motions: list[Motion], source: Source | SimulatedFlight) -> F64:
     return np.mean(off, axis=0) if off else np.zeros(3)
 
 
-def finished(lane: Pipeline, settings: Settings) -> tuple[tuple[Motion, ...], ElevationMap | None]:
-    """The refined motions of a flight that has ended, and its map as it is judged; None: there is no map."""
+@dataclass(frozen=True, eq=False)
+class Finished:
+    """The refined motions of a flight that has ended, and in the world its map and wires as they are judged."""
+
+    motions: tuple[Motion, ...]
+    elevation: ElevationMap | None  # None: there is no map
+    wires: tuple[Wire, ...] = ()
+
+
+def finished(lane: Pipeline, settings: Settings) -> Finished:
+    """End a flight, and map it."""
     trajectory = lane._navigation.finish(lambda _: None)
     seen = lane._mapping.finish(trajectory, lambda _: None).snapshot if trajectory.usable else None
-    return trajectory.motions, None if seen is None else seen.frame.elevation(as_judged(seen, settings.lander))
+    if seen is None:
+        return Finished(trajectory.motions, None)
+    elevation = as_judged(seen, settings.lander)
+    wires = tuple(w.moved(seen.frame.offset_world) for w in find_wires(seen.views, elevation))
+    return Finished(trajectory.motions, seen.frame.elevation(elevation), wires)
 
 
 def shifted(truth: FlightTruth, off: F64) -> FlightTruth:
@@ -140,11 +157,11 @@ def _make(name: str, hows: tuple[How, ...], paths: dict[How, Path]) -> None:
         assert isinstance(source, SimulatedFlight)
         true = FlightTruth(source.truth.height, source.truth.label, source.truth.grid)
     for how, lane in lanes.items():
-        motions, found = finished(lane, Settings())
-        if found is None:
+        found = finished(lane, Settings())
+        if found.elevation is None:
             print(f"{name}, {how}: no map", flush=True)
             continue
-        write_map(paths[how], found, shifted(true, _drift(list(motions), source)))
+        write_map(paths[how], found.elevation, shifted(true, _drift(list(found.motions), source)), found.wires)
 
 
 @cache

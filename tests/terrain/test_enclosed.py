@@ -11,6 +11,7 @@ from helpers.ground import ground
 from alight.records import Datum, Flag
 from alight.settings import Settings
 from alight.terrain.enclosed import LevelSurfaces
+from alight.terrain.water import dryness
 
 CELL = 0.1
 SETTINGS = Settings().stages().terrain
@@ -104,3 +105,46 @@ def test_a_roof_whose_rim_is_not_seen_cannot_be_told() -> None:
     assert on_roof(near) == 0.0
     step = np.where(np.arange(300) * CELL < 12.0, 4.0, 0.0) * np.ones((400, 1))
     assert LevelSurfaces.of(ground(step.astype(np.float32), cell=CELL), SETTINGS).raised().max() == 0.0
+
+
+def pool(fall: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Heights of 40 x 30 m of lawn that rises by 2 %, and the mask of a pool of 36 m^2 in it; gradient `fall`."""
+    rng = np.random.default_rng(0)
+    x, y = np.meshgrid(np.arange(300) * CELL, np.arange(400) * CELL)
+    water = (np.abs(x - 6.0) < 3.0) & (np.abs(y - 20.0) < 3.0)
+    z = np.where(water, 0.06 + fall * y, 0.02 * x)
+    return (z + rng.normal(0, 0.01, z.shape)).astype(np.float32), water
+
+
+def test_a_level_patch_that_looks_like_water_is_a_pool() -> None:
+    z, alike = pool()
+    found = LevelSurfaces.of(ground(z, cell=CELL), SETTINGS).pools(alike)
+    assert (found & alike).sum() > 0.8 * alike.sum()
+    assert not (found & ~alike)[:, :20].any()
+    assert not LevelSurfaces.of(ground(z, cell=CELL), SETTINGS).pools(np.zeros_like(alike)).any()
+
+
+def test_a_patch_that_slopes_or_is_smaller_than_a_pool_is_none() -> None:
+    z, alike = pool(fall=0.03)
+    assert not LevelSurfaces.of(ground(z, cell=CELL), SETTINGS).pools(alike).any()
+    z, alike = pool()
+    alike[210:] = False  # 15 x 1 m at most are left
+    alike[:195] = False
+    assert not LevelSurfaces.of(ground(z, cell=CELL), SETTINGS).pools(alike).any()
+
+
+def test_dryness_is_measured_from_the_nearest_water() -> None:
+    z, water = pool()
+    water[:, 280:] = True  # a second pool, higher up
+    dry = dryness(water, np.where(water & (z < 0.05), np.nan, z).astype(np.float32))
+    assert dry[200, 60] == pytest.approx(0.0, abs=0.05)
+    assert dry[200, 120] == pytest.approx(0.24 - 0.06, abs=0.05)
+    assert dry[200, 270] == pytest.approx(0.0, abs=0.02)
+    assert (dryness(np.zeros_like(water), z) == 1).all()
+    assert dryness(water, z + 1.5 * ~water)[200, 120] == 1.0
+
+
+def test_a_flat_roof_that_looks_like_water_is_no_pool() -> None:
+    z, alike = pool()
+    z[alike] += 3.0
+    assert not LevelSurfaces.of(ground(z, cell=CELL), SETTINGS).pools(alike).any()

@@ -19,12 +19,14 @@ from alight.terrain.enclosed import LevelSurfaces
 from alight.terrain.evidence import land_cover_terms
 from alight.terrain.model import PIXEL, Model, appearance_evidence, level_of, log_softmax
 from alight.terrain.relief import Relief, relief
-from alight.terrain.water import ponds, wetness
+from alight.terrain.water import ALIKE, dryness, open_water, ponds, wetness
 
 KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # classes along the first axis of log odds
 ANYTHING = 0.5  # `landable` and `bears` of ground without a picture
 UNLIKE = 20.0  # novelty of ground without a picture: 1 % of it refuses a footprint
 WATER = KINDS.index(Terrain.WATER)
+HARD = Terrain.PAVED, Terrain.ROCK, Terrain.STRUCTURE
+PLANTS = Terrain.SHORT_GRASS, Terrain.TALL_VEGETATION, Terrain.TREE
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
 BEARS = [i for i, k in enumerate(KINDS) if k in (*LANDABLE, Terrain.ROCK)]
 
@@ -153,10 +155,13 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     label = _labels(odds, landable, colours, shape, settings)
     novelty = _novelty(tables.known, some, landable.shape)
     surfaces = LevelSurfaces.of(elevation, settings)
-    return TerrainMap(
+    cover = TerrainMap(
         elevation.grid, label, landable, each[0].water, surfaces.enclosed(), surfaces.raised(), novelty,
         surely([p.bears for p in each]), colours.coloured,
     )  # fmt: skip
+    water = surfaces.pools(open_water(cover) | (wet > ALIKE) & ~np.isin(label, HARD))
+    dry = np.where(np.isin(label, PLANTS), dryness(water, elevation.height), np.float32(1))
+    return replace(cover, bears=cover.bears * dry)
 
 
 def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32], apart: int = 3) -> Iterator[tuple[str, F32]]:

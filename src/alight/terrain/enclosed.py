@@ -8,7 +8,7 @@ as a yard, but the ground around it is lower. Most of a roof's rim must be seen.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -42,17 +42,27 @@ class LevelSurfaces:
         block = size * elevation.grid.cell
         bed = block_quantile(np.where(elevation.trusted, elevation.height, np.float32(np.nan)), size, 0.5)
         tilt = 0.0 if elevation.datum is None else elevation.datum.tilt_sigma
-        count, parts = _level_parts(bed, block, tilt, settings)
-        areas = (np.bincount(parts.ravel(), minlength=count) * block**2).astype(np.float64)
-        areas[0] = np.nan
-        return cls(elevation, settings, size, bed, parts, areas, tilt)
+        return cls(elevation, settings, size, bed, *_parts(_is_level(bed, block, tilt, settings), block), tilt)
 
-    def enclosed(self) -> F32:
-        """Compute the degree, 0 to 1, to which each cell belongs to a level surface below its banks (G13b), (R, C)."""
+    def pools(self, alike: Mask) -> Mask:
+        """Return the mask (R, C) of level patches of what looks like water and stands no higher than its rim (G15b).
+
+        `alike`: (R, C) mask of cells that look like water and are not sealed, as sealed ground is as level.
+        """
+        patches = (block_quantile(alike.astype(np.float32), self.size, 0.5) > 0.5) & np.isfinite(self.bed)
+        parts, areas = _parts(patches, self.size * self.elevation.grid.cell)
+        return replace(self, parts=parts, areas=areas).enclosed(-self.settings.water_bank) > 0.5
+
+    def enclosed(self, bank: float | None = None) -> F32:
+        """Compute the degree, 0 to 1, to which each cell belongs to a level surface below its banks (G13b), (R, C).
+
+        `bank`: least height of a bank above the surface, metres; None: that of the settings.
+        """
         settings, block = self.settings, self.size * self.elevation.grid.cell
+        bank = settings.water_bank if bank is None else bank
         ground = ground_under(self.bed, settings.ground_window / (2 * block))  # hedges and cars are not banks
         large = np.flatnonzero(self.areas >= settings.water_area)
-        return self._marked(large, 0, lambda part: _enclosure(part, self.bed, ground, block, self.tilt, settings))
+        return self._marked(large, 0, lambda part: _enclosure(part, self.bed, ground, block, self.tilt, bank, settings))
 
     def raised(self) -> F32:
         """Compute the degree, 0 to 1, to which each cell belongs to a level surface above its rim (G13c), (R, C)."""
@@ -76,8 +86,8 @@ class LevelSurfaces:
         return upsample(np.asarray(grown, np.float32), self.size, self.elevation.grid.shape)
 
 
-def _level_parts(bed: F32, block: float, tilt: float, settings: TerrainSettings) -> tuple[int, I64]:
-    """Return the number of connected level parts plus 1, and the index of each block's part, from 1; 0: no part.
+def _is_level(bed: F32, block: float, tilt: float, settings: TerrainSettings) -> Mask:
+    """Return the mask of level blocks.
 
     `bed`: (r, c) heights, metres. `block`: side of a block, metres. `tilt`: 1-sigma of the map's tilt, rad.
     """
@@ -85,9 +95,16 @@ def _level_parts(bed: F32, block: float, tilt: float, settings: TerrainSettings)
     filled = nearest_known(np.nan_to_num(bed), known)
     north, east = gradient(cv2.GaussianBlur(filled, (0, 0), 0.8) / np.float32(block))
     flat = known & (np.hypot(north, east) < settings.water_slope + 2 * tilt)
-    flat = cv2.morphologyEx(flat.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
-    count, parts = cv2.connectedComponents(flat * known.astype(np.uint8), connectivity=4)
-    return count, parts.astype(np.int64)
+    flat = cv2.morphologyEx(flat.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)) > 0
+    return np.asarray(flat & known)
+
+
+def _parts(blocks: Mask, block: float) -> tuple[I64, F64]:
+    """Return the index of each block's connected part, from 1, and the areas by index, m^2; `block`: side, metres."""
+    count, parts = cv2.connectedComponents(blocks.astype(np.uint8), connectivity=4)
+    areas = (np.bincount(parts.ravel(), minlength=count) * block**2).astype(np.float64)
+    areas[0] = np.nan
+    return parts.astype(np.int64), areas
 
 
 def _rim(part: Mask, outer: int = RIM[1]) -> Mask:
@@ -95,10 +112,12 @@ def _rim(part: Mask, outer: int = RIM[1]) -> Mask:
     return np.asarray(far & ~near)
 
 
-def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, settings: TerrainSettings) -> float:
+def _enclosure(
+    part: Mask, bed: F32, ground: F32, block: float, tilt: float, bank: float, settings: TerrainSettings
+) -> float:
     """Return the degree, 0 to 1, to which a part (mask of blocks) is level and lower than the ground of its rim.
 
-    `bed`, `block`, `tilt`: see `_level_parts`. `ground`: heights of the ground, metres, NaN = unseen.
+    `bed`, `block`, `tilt`: see `_is_level`. `ground`: heights of the ground, metres, NaN = unseen.
     """
     rows, cols = np.nonzero(part)
     terms = np.column_stack([np.ones(len(rows)), cols * block, rows * block])
@@ -109,7 +128,7 @@ def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, set
     if len(r) * block**2 < settings.water_area:  # too little of the rim was seen
         return 0.0
     above = ground[r, c] - np.column_stack([np.ones(len(r)), c * block, r * block]) @ plane
-    higher = float((above > settings.water_bank).mean())
+    higher = float((above > bank).mean())
     level = 1 - float(linear_ramp(np.array([slope - 2 * tilt], np.float32), *settings.water_level)[0])
     even = 1 - float(linear_ramp(np.array([uneven], np.float32), *settings.water_even)[0])
     return level * even * float(linear_ramp(np.array([higher], np.float32), *settings.rim)[0])

@@ -9,11 +9,14 @@ import numpy as np
 from scipy.ndimage import median
 
 from alight.arrays import F32, Mask
-from alight.raster import linear_ramp, masked_gaussian, without_specks
+from alight.raster import linear_ramp, masked_gaussian, nearest_known, without_specks
 from alight.records import ElevationMap, Flag, Terrain, TerrainMap, is_flagged
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, seen
 from alight.terrain.relief import Relief
+
+ALIKE = 0.4  # likeness to water of a patch that is taken for water if it is connected to water, or level
+DRY = 1.0  # metres above open water: plants that stand lower may stand on wet soil (Murphy et al. 2009)
 
 
 def water_likeness(colours: Appearance) -> F32:
@@ -79,7 +82,7 @@ def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
     """
     seed, walled = (without_specks(odds > 0, cell, 1.0) for odds in (signs.odds, signs.walled_odds))
     out = np.zeros_like(seed)
-    alike = _grown(seed, signs.wet > 0.4)
+    alike = _grown(seed, signs.wet > ALIKE)
     count, labels = cv2.connectedComponents(alike.astype(np.uint8), connectivity=8)
     for i in range(1, count):
         pond = labels == i
@@ -135,3 +138,20 @@ def open_water(land_cover: TerrainMap) -> Mask:
     count, patches = cv2.connectedComponents(wet.astype(np.uint8), connectivity=8)
     middle = median(land_cover.water[wet], patches[wet], np.arange(1, count))
     return np.asarray(np.concatenate([[False], middle >= 0.5])[patches])
+
+
+def dryness(water: Mask, height: F32) -> F32:
+    """Compute from 0 to 1 how far each cell stands above the nearest open water, (R, C); 1 from `DRY` on.
+
+    Height above the nearest water predicts how wet soil is (HAND, Nobre et al. 2011).
+
+    Args:
+        water: (R, C) mask of open water.
+        height: (R, C) metres, NaN = unknown.
+    """
+    if not water.any():
+        return np.ones(water.shape, np.float32)
+    count, patches = cv2.connectedComponents(water.astype(np.uint8), connectivity=8)
+    filled = nearest_known(np.nan_to_num(height), np.isfinite(height))
+    level = np.asarray(median(filled, patches, np.arange(count)), np.float32)
+    return np.asarray(np.clip((height - nearest_known(level[patches], water)) / np.float32(DRY), 0, 1), np.float32)
