@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE  # else each process of the tests compiles all 
 PYTEST = $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-long check format bench fuzz bench-ends bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos train pictures pages clean
+.PHONY: help demo test test-long check format bench fuzz bench-ends bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos train pictures pages docs dist clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 17
@@ -65,11 +65,21 @@ bench-photos: $(MADE)  ## a card of photos: CPU a megapixel, memory, coverage, a
 pictures: $(MADE)  ## the built-in scenes from 20 and 100 m: docs/scenes, and what `alight simulate --list` shows
 	$(BIN)/python bench/scene_pictures.py
 
-pages: $(MADE)  ## docs/settings.md and docs/scene-keys.md: every setting, every key of a scene file
+pages: $(MADE)  ## docs/settings.md, docs/scene-keys.md and docs/commands.md: every setting, key of a scene file and option
 	$(BIN)/alight settings --markdown > docs/settings.md && $(BIN)/alight simulate --keys > docs/scene-keys.md
+	$(BIN)/python -m typer --app app alight.cli.flown utils docs --name alight > docs/commands.md
+
+docs: $(MADE) pages  ## the site from docs/ and from the source: out/site/index.html; any warning fails
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	$(BIN)/mkdocs build --strict
+
+dist: $(MADE)  ## wheel and sdist in dist/, checked, installed into an empty environment, and tried there
+	$(BIN)/python -m pip install --quiet --editable '.[release]'
+	rm -rf dist && $(BIN)/python -m build && $(BIN)/twine check --strict dist/*
+	.ci/installed.sh '$(PYTHON)'
 
 clean:  ## everything that was made, .venv included
-	rm -rf .venv out dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache docs/settings.md docs/scene-keys.md
+	rm -rf .venv out dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache docs/settings.md docs/scene-keys.md docs/commands.md
 
 $(MADE): pyproject.toml src/alight/__init__.py
 	@test -n '$(PYTHON)' || { echo 'Alight needs Python 3.11 or newer and found none; install it, or name it: make PYTHON=/path/to/python3.11' >&2; exit 1; }

@@ -156,7 +156,9 @@ def judge(
         dem: a height raster with square cells, in metres or feet.
         sigma: 1-sigma of the heights, metres or a raster; None: the raster's second band, or `hazards.usual_sigma`.
         image: image of the same ground from above; with two or more pixels per cell it sharpens the heights.
-        zones, lander, settings: see `run`.
+        zones: as in `run`.
+        lander: as in `run`.
+        settings: as in `run`.
 
     Raises:
         AlightError: a raster or a setting cannot be used; the message gives the remedy.

@@ -30,7 +30,7 @@ AT_TOP = {
 MAY_BE_AT_TOP = {"CITATION.cff", "CODE_OF_CONDUCT.md", "SECURITY.md", ".pre-commit-config.yaml", "mkdocs.yml"}
 KINDS = {
     "", ".py", ".md", ".jpg", ".yaml", ".yml", ".svg", ".npz", ".json", ".jsonl", ".j2", ".typed", ".sh", ".html",
-    ".css", ".js", ".ipynb",
+    ".css", ".js", ".ipynb", ".webp",
 }  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from alight.settings import Settings
 
 DOCS = ROOT / "docs"
 METHOD = sorted((DOCS / "method").glob("*.md"))
-GENERATED = {DOCS / "settings.md", DOCS / "scene-keys.md"}  # by `make pages`, where that was run
+GENERATED = {DOCS / "settings.md", DOCS / "scene-keys.md", DOCS / "commands.md"}  # by `make pages`, where that was run
 PAGES = sorted({*ROOT.glob("*.md"), *DOCS.rglob("*.md")} - GENERATED)
 PRESENT = [p for p in PAGES if p.parent != DOCS / "lab"]  # a dated page names the files of its day
 TREE = [p.relative_to(ROOT).as_posix() for part in ("src", "tests", "bench") for p in (ROOT / part).rglob("*.py")]

@@ -9,6 +9,7 @@ try:
     from alight.cli import exported as exported
     from alight.cli import flown as flown
     from alight.cli import recorded as recorded
+    from alight.cli import shown as shown
     from alight.cli import simulated as simulated
     from alight.cli.app import call, main
 except KeyboardInterrupt:  # Ctrl-C in the first second or two

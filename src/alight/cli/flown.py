@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class FlightOptions(options.RouteOptions):
+class FlightOptions(options.RouteOptions, options.ShownOptions):
     """Options of `alight live` and `alight fly`."""
 
     rig: Annotated[
@@ -87,6 +87,7 @@ class LiveOptions(FlightOptions):
 @options.command_of(LiveOptions)
 def live(o: LiveOptions) -> None:
     """Find a landing site during a flight. Ctrl-C ends it; the map is then judged as it is."""
+    o.refuse_unshown()
     chosen = o.read_settings()
     o.refuse_unused(o.source, o.follow, o.speed)
     from alight.flight.live.run import LiveRequest, fly_live
@@ -111,6 +112,7 @@ def live(o: LiveOptions) -> None:
     with live_table() as show:
         result = fly_live(opened.source, opened.events, request, lambda line: show((), [line]))
     save_result(with_home(result, flown_home(wanted, opened.telemetry(), o.separation)), o.out, o.force)
+    o.show(o.out)
 
 
 def compile_if_cold() -> None:
@@ -150,6 +152,7 @@ class FlyOptions(FlightOptions):
 @options.command_of(FlyOptions)
 def fly(o: FlyOptions) -> None:
     """Fly a landing: search, look, look again from lower down, land or give up. A pilot must be ready to take over."""
+    o.refuse_unshown()
     chosen = o.read_settings()
     o.refuse_unused(o.camera)
     from alight.flight.session.request import FlightRequest
@@ -177,6 +180,7 @@ def fly(o: FlyOptions) -> None:
         raise typer.Exit(ExitCode.FAULT_FOUND)
     landed = outcome.state is FlightState.LANDED and not o.dry_run
     save_result(outcome.result, o.out, o.force, not landed)
+    o.show(o.out)
     if not (landed or o.dry_run):
         raise typer.Exit(ExitCode.NOT_LANDED)
 

@@ -141,6 +141,54 @@ class RouteOptions(ResultOptions):
     ] = None
 
 
+@dataclass(kw_only=True)
+class ShownOptions:
+    """Options of a command whose flight can be shown at its end."""
+
+    film: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the flight as a film at the end: .mp4, .webp or .gif.")
+    ] = None
+    view: Annotated[bool, typer.Option("--view", help="Show the flight in three dimensions at the end (Rerun).")] = (
+        False
+    )
+
+    def refuse_unshown(self) -> None:
+        """Refuse what cannot be shown, before the flight.
+
+        Raises:
+            AlightError: the film has an unknown ending, or Rerun is not installed.
+        """
+        if self.film is not None:
+            from alight.viewing.film import refuse_ending
+
+            refuse_ending(self.film)
+        if self.view:
+            from alight.viewing.spatial import rerun_here
+
+            rerun_here()
+
+    def show(self, out: Path, recording: Path | None = None) -> None:
+        """Draw and show the flight in the folder `out` if that is wanted; a failure is a warning, as the run is whole.
+
+        Args:
+            out: folder of the run.
+            recording: see `ShownFlight`.
+        """
+        if self.film is None and not self.view:
+            return
+        from alight.cli import shown
+        from alight.cli.terminal import print_stderr
+        from alight.records import AlightError
+
+        try:
+            if self.film is not None:
+                shown.film(out, self.film, recording)
+            if self.view:
+                shown.view(out, recording)
+        except AlightError as e:
+            print_stderr(f"warning: {e}")
+
+
 def yaml_text(file: Path) -> str:
     """Read the text of a settings file.
 

@@ -27,7 +27,7 @@ SamplingOption = Annotated[
 
 
 @dataclass(kw_only=True)
-class RunOptions(options.RouteOptions):
+class RunOptions(options.RouteOptions, options.ShownOptions):
     """Options of `alight run`."""
 
     source: Annotated[
@@ -57,6 +57,7 @@ class RunOptions(options.RouteOptions):
 @options.command_of(RunOptions)
 def run(o: RunOptions) -> None:
     """Find a landing site in a recorded flight or a folder of photos."""
+    o.refuse_unshown()
     chosen = o.read_settings(after=[f"parallax.quality={o.quality}"] if o.quality else ())
     from alight.runner import replay
     from alight.runs import known_home
@@ -70,6 +71,7 @@ def run(o: RunOptions) -> None:
     with progress_bar() as report:
         result = replay.find(o.source, o.out, wishes, report)
     save_result(result, o.out, o.force)
+    o.show(o.out)
 
 
 @dataclass(kw_only=True)

@@ -6,6 +6,7 @@ import shlex
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -23,7 +24,7 @@ PORT, HEIGHT = 14550, 30.0  # of a rehearsal; m above the ground
 
 
 @dataclass(kw_only=True)
-class DemoOptions(options.ResultOptions):
+class DemoOptions(options.ResultOptions, options.ShownOptions):
     """Options of `alight demo`."""
 
     out: options.Out = Path("out/demo")
@@ -34,19 +35,23 @@ class DemoOptions(options.ResultOptions):
 @options.command_of(DemoOptions)
 def demo(o: DemoOptions) -> None:
     """Land a simulated vehicle: search, look, look again from lower down, touch down."""
+    o.refuse_unshown()
     chosen = o.read_settings()
     from alight.loop_forms import compile_loops
     from alight.outputs import write_run
-    from alight.trials import demo as show
+    from alight.trials.demo import fly_demo
 
-    with progress_bar() as report:
-        compile_loops("simulator", "flight", progress=report)
-        landing = show.fly_demo(o.out, o.seed, chosen, o.force, report)
-    print_result(landing.result)
-    write_run(landing.result, o.out, o.force)
-    for line in landing.lines:
-        print_line(line)
-    print_line(f"report: {o.out / 'report.html'}")
+    with TemporaryDirectory() as folder:
+        recording = Path(folder) / "demo.mcap" if o.film or o.view else None
+        with progress_bar() as report:
+            compile_loops("simulator", "flight", progress=report)
+            landing = fly_demo(o.out, o.seed, chosen, o.force, report, recording)
+        print_result(landing.result)
+        write_run(landing.result, o.out, o.force)
+        for line in landing.lines:
+            print_line(line)
+        print_line(f"report: {o.out / 'report.html'}")
+        o.show(o.out, recording)
 
 
 @dataclass(kw_only=True)

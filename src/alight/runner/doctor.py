@@ -18,6 +18,7 @@ EXTRAS = {  # what each extra is for
     "films": "telemetry in the tracks of a film, without ffmpeg", "logs": "logs of PX4 and ArduPilot beside frames",
     "fly": "an autopilot over MAVLink", "las": "point clouds (alight export --las)",
     "cluster": "several machines, by Dask", "notebooks": "rasters as xarray",
+    "view": "flights in three dimensions (alight view)",
 }  # fmt: skip
 LINKS = ("ttyACM*", "ttyUSB*", "ttyAMA*", "ttyTHS*", "cu.usb*")  # files of serial links in /dev
 

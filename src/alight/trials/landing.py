@@ -15,9 +15,10 @@ from alight import terrain
 from alight.checks.result import Judged
 from alight.flight.autopilot import Autopilot, TelemetryEvents
 from alight.flight.executive.table import ENDS
-from alight.flight.session.pilot import LandingLog, LandingPilot
+from alight.flight.session.pilot import LandingPilot, SessionLog
 from alight.flight.session.preflight import judge_motion
 from alight.landing.zones import MapZones
+from alight.outputs.recorder import Recorder
 from alight.pipeline import Decision, FlightPolicy, Pipeline, PipelineOptions, Verdict
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation
@@ -72,10 +73,7 @@ def fly_landing(
         zones: zones of the user, in the world of the vehicle.
     """
     trial = Trial(vehicle, settings, appearance, firmware, zones)
-    while not trial.over:
-        if trial.begun:
-            happening(trial)
-        trial.step()
+    trial.fly(happening)
     return trial.result(map_all)
 
 
@@ -125,11 +123,12 @@ class Trial:
 
     Args:
         vehicle, settings, appearance, firmware, zones: see `fly_landing`.
+        recorder: of the landing; None: it is not recorded.
     """
 
     def __init__(
         self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None = None,
-        firmware: FirmwareName = "ardupilot", zones: ZonesOnPlane = NO_ZONES,
+        firmware: FirmwareName = "ardupilot", zones: ZonesOnPlane = NO_ZONES, recorder: Recorder | None = None,
     ) -> None:  # fmt: skip
         recursive = settings.parallax.model_copy(update={"method": "recursive"})
         self._vehicle, self._settings = vehicle, settings.model_copy(update={"parallax": recursive})
@@ -151,9 +150,9 @@ class Trial:
         while self._ours.vehicle is None:  # the autopilot sends its first heartbeat
             self.autopilot.step(STEP)
             self.link.carry(vehicle.time_ns)
-        self._pilot = LandingPilot(
-            self._settings, local, self._ours.vehicle, self._ours.vehicle, policy, LandingLog(), zones
-        )
+        self._recorder, log = recorder, SessionLog(lambda line: None)
+        log.recorder = recorder
+        self._pilot = LandingPilot(self._settings, local, self._ours.vehicle, self._ours.vehicle, policy, log, zones)
         self._later: list[tuple[int, int, Callable[[], None]]] = []  # due, number, call
         self._start_ns = vehicle.time_ns
         self._begin_ns: int | None = None
@@ -178,6 +177,13 @@ class Trial:
     def over(self) -> bool:
         """Whether the vehicle has landed, the landing is given up, or it has taken too long."""
         return self.state in ENDS or self.t > LONGEST * self._settings.executive.time_budget
+
+    def fly(self, happening: Callable[[Trial], None]) -> None:
+        """Fly to the end; `happening` is called before every decision."""
+        while not self.over:
+            if self.begun:
+                happening(self)
+            self.step()
 
     def step(self) -> None:
         """Let the vehicle fly for one step of the pilot, process what has arrived, and decide."""
@@ -214,13 +220,19 @@ class Trial:
         fresh = self._pilot.inputs.add_frame(event, self._vehicle.time_ns) if isinstance(event, Frame) else event
         if fresh is None:
             return
+        if self._recorder is not None:
+            self._recorder.event(fresh)
         with self._costs.of("pipeline"):
             motion = self._pipeline.feed(fresh)
         if motion is not None:
+            if self._recorder is not None:
+                self._recorder.motion(motion)
             self._after(MOTION_NS, lambda: self._pilot.inputs.add_motion(motion))
 
     def _judged(self, verdict: Verdict, t_ns: int) -> None:
         self._verdicts += 1
+        if self._recorder is not None:
+            self._recorder.verdict(t_ns, verdict.in_world())
         self._after(VERDICT_NS, lambda: self._pilot.inputs.add_verdict(verdict, t_ns))
 
     def _after(self, delay_ns: int, call: Callable[[], None]) -> None:
