@@ -115,7 +115,7 @@ def run(
             separation there (ellipsoid minus sea level, metres) as a fourth number. None: heights of `route.plan` are
             relative to the landing site.
         geoid: raster of geoid heights in metres, on a grid of degrees.
-        zones: GeoJSON of zones where to land never, only or rather (docs/zones.md).
+        zones: GeoJSON of zones where not to land, where only, where preferably (docs/zones.md).
         scheduler: address of a Dask cluster that processes the photos, such as tcp://host:8786.
         progress: called with the name of the stage and the share of it that is done.
 

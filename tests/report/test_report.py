@@ -143,14 +143,14 @@ def test_both_accuracies_stand_in_the_answer_and_a_place_that_is_too_vague_is_no
         assert told["Height within the map, 1-sigma"] == "± 3 cm"
         assert told["Place on Earth, 1-sigma"] == f"± {sigma:.1f} m across, ± 2.5 m up"
         cautions = facts.answer(run).cautions
-        assert cautions[0].startswith("This is a claim of a program")
+        assert cautions[0].startswith("A program concluded this")
         assert any("Do not fly to the coordinates alone" in c for c in cautions) == heed
     assert dict(facts.answer(some_run()).chips)["Place on Earth, 1-sigma"] == "unknown"
     assert dict(facts.answer(some_run(georeferenced=False)).chips)["Place on Earth"] == "unknown"
 
 
 def test_what_to_heed_stands_above_the_first_picture(page: str) -> None:
-    assert page.index("no clearance to land") < page.index("<figure")
+    assert page.index("not a clearance to land") < page.index("<figure")
     assert "<footer" not in page
 
 

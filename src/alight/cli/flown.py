@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class FlightOptions(options.RouteOptions, options.ShownOptions):
+class FlightOptions(options.ShownOptions, options.RouteOptions):
     """Options of `alight live` and `alight fly`."""
 
     rig: Annotated[
@@ -74,12 +74,12 @@ class LiveOptions(FlightOptions):
             help="A flight log, a recording (.mcap), a folder being filled, or cameras: camera:0,camera:2",
         ),
     ]
-    speed: Annotated[float, typer.Option(min=0.01, help="Of a recording: 2 is twice as fast as it was.")] = 1.0
+    speed: Annotated[float, typer.Option(min=0.01, help="Replay speed of a recording: 2 is twice as fast.")] = 1.0
     follow: Annotated[
-        bool, typer.Option("--follow", help="The folder is being filled; 10 s without anything new end it.")
+        bool, typer.Option("--follow", help="The folder is being filled; the run ends after 10 s without a new file.")
     ] = False
     telemetry: Annotated[
-        str | None, typer.Option(metavar="LINK", help="Autopilot that gives GPS/INS: udp:0.0.0.0:14550.")
+        str | None, typer.Option(metavar="LINK", help="Autopilot that provides GPS/INS: udp:0.0.0.0:14550.")
     ] = None
 
 
@@ -138,7 +138,8 @@ class FlyOptions(FlightOptions):
     ]
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show every order instead of sending it.")] = False
     take_off: Annotated[
-        float | None, typer.Option(min=2.0, max=120.0, metavar="M", help="Arm and climb so high above home first.")
+        float | None,
+        typer.Option(min=2.0, max=120.0, metavar="M", help="Arm and climb to this height above home first."),
     ] = None
     sites: Annotated[
         Path | None, typer.Option(metavar="OUT", help="Folder of an earlier run: look at its sites first, in order.")

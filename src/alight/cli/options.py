@@ -44,7 +44,7 @@ def _log_details(verbose: bool) -> None:
 
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", callback=_log_details, help="Log details on stderr.")]
 Firmware = Annotated[Literal["ardupilot", "px4"], typer.Option(help="Dialect of the simulated autopilot.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Another seed, another place.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random ground and flight.")]
 Out = Annotated[Path, typer.Option("--out", metavar="OUT", help="Folder for the results.")]
 Scheduler = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster that does the work: tcp://host:8786.")
@@ -57,7 +57,7 @@ Places = Annotated[
 
 Zones = Annotated[
     Path | None,
-    typer.Option("--zones", metavar="FILE", help="GeoJSON of zones: where to land never, only or rather."),
+    typer.Option("--zones", metavar="FILE", help="GeoJSON of zones: where not to land, where only, where preferably."),
 ]
 Topic = Annotated[
     list[str] | None,
@@ -137,7 +137,10 @@ class RouteOptions(ResultOptions):
     ] = None
     geoid: Annotated[
         Path | None,
-        typer.Option(metavar="GRID", help="Geoid heights (EGM2008, GeoTIFF): of --home, and of photos above the sea."),
+        typer.Option(
+            metavar="GRID",
+            help="Geoid heights (EGM2008, GeoTIFF), for --home and for photos with heights above the sea.",
+        ),
     ] = None
 
 

@@ -27,7 +27,7 @@ SamplingOption = Annotated[
 
 
 @dataclass(kw_only=True)
-class RunOptions(options.RouteOptions, options.ShownOptions):
+class RunOptions(options.ShownOptions, options.RouteOptions):
     """Options of `alight run`."""
 
     source: Annotated[
@@ -251,7 +251,9 @@ def _lander(file: Path) -> list[str]:
 
 @terrain.command("train")
 def train_model(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="One folder of pictures a class: bare, water, ...")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Folder with a folder of pictures for each class: bare, water, ...")
+    ],
     out: Annotated[Path, typer.Option("--out", metavar="MODEL", help="File for the model (.npz).")],
     sampling: SamplingOption = 0.05,
     verbose: options.Verbose = False,
@@ -320,8 +322,10 @@ def _left_out(folder: Path, sampling: float, report: Callable[[str, float], None
 class ShowOptions(options.SettingsOptions):
     """Options of `alight settings`."""
 
-    everything: Annotated[bool, typer.Option("--all", help="With the tuned constants of every stage.")] = False
-    markdown: Annotated[bool, typer.Option("--markdown", help="The keys with their descriptions, as a page.")] = False
+    everything: Annotated[bool, typer.Option("--all", help="Print the tuned constants of every stage as well.")] = False
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print a page of all keys with their descriptions.")] = (
+        False
+    )
 
 
 @app.command("settings")

@@ -24,7 +24,7 @@ PORT, HEIGHT = 14550, 30.0  # of a rehearsal; m above the ground
 
 
 @dataclass(kw_only=True)
-class DemoOptions(options.ResultOptions, options.ShownOptions):
+class DemoOptions(options.ShownOptions, options.ResultOptions):
     """Options of `alight demo`."""
 
     out: options.Out = Path("out/demo")
@@ -192,17 +192,19 @@ class RehearseOptions:
     """Options of `alight rehearse`."""
 
     scene: Annotated[str, typer.Argument(metavar="SCENE", help="A scene file (YAML), or the name of a built-in scene.")]
-    folder: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Filled with the pictures: the --camera of alight fly.")
-    ]
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Of this machine, where alight fly listens.")] = PORT
+    folder: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the pictures: the --camera of alight fly.")]
+    port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port of this machine where alight fly listens.")] = (
+        PORT
+    )
     seed: options.Seed = 0
     height: Annotated[
         float, typer.Option(min=0.0, max=500.0, help="Metres above the ground at the start; 0: it stands.")
     ] = HEIGHT
-    width: Annotated[int, typer.Option(min=80, max=4000, help="Of the pictures, pixels; the height follows.")] = 320
+    width: Annotated[int, typer.Option(min=80, max=4000, help="Width of the pictures, pixels; the height follows.")] = (
+        320
+    )
     rate: Annotated[float, typer.Option(min=1.0, max=100.0, help="Exposures a second.")] = 5.0
-    wind: Annotated[float, typer.Option(min=0.0, max=50.0, help="From the west, m/s.")] = 0.0
+    wind: Annotated[float, typer.Option(min=0.0, max=50.0, help="Wind from the west, m/s.")] = 0.0
     autopilot: options.Firmware = "ardupilot"
     follow: Annotated[
         str | None,
@@ -212,7 +214,7 @@ class RehearseOptions:
             "tcp:127.0.0.1:5762.",
         ),
     ] = None
-    seconds: Annotated[float, typer.Option(min=1.0, help="Then it ends.")] = 900.0
+    seconds: Annotated[float, typer.Option(min=1.0, help="Length of the rehearsal, s.")] = 900.0
     verbose: options.Verbose = False
 
     @property
@@ -291,8 +293,10 @@ class CampaignOptions(options.SettingsOptions):
         list[str] | None,
         typer.Option("--world", metavar="PACKAGE.MODULE:FACTORY", help="A world of another package; may be repeated."),
     ] = None
-    landings: Annotated[int | None, typer.Option(min=1, max=100_000, help="How many landings; 20.")] = None
-    seed: Annotated[int | None, typer.Option(min=0, help="Of everything that chance decides; 0.")] = None
+    landings: Annotated[int | None, typer.Option(min=1, max=100_000, help="Number of landings; 20 unless given.")] = (
+        None
+    )
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of all random choices; 0.")] = None
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes that fly landings on this machine.")] = 1
     scheduler: options.Scheduler = None
     only: Annotated[int | None, typer.Option(metavar="K", min=0, help="Fly landing K again and write nothing.")] = None

@@ -1,4 +1,4 @@
-"""Zones that a user gives: where to land never, only or rather, and where to look."""
+"""Zones that a user gives: where not to land, where only, where preferably, and where to look."""
 
 from __future__ import annotations
 

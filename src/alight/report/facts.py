@@ -92,7 +92,7 @@ def _look_closer(result: RunResult, first: Site) -> Answer:
 
 
 NO_CLEARANCE = (
-    "This is a claim of a program about pictures, and no clearance to land. Look at the ground yourself first."
+    "A program concluded this from pictures. It is not a clearance to land: look at the ground yourself first."
 )
 
 

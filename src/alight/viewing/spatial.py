@@ -56,7 +56,11 @@ def _layout() -> Any:
         rrb.TextLogView(name="decisions", origin="decisions"),
         rrb.Tabs(*numbers),
     )
-    return rrb.Blueprint(rrb.Horizontal(rrb.Spatial3DView(name="flight", origin="world"), beside, column_shares=[3, 2]))
+    whole_path = rrb.VisibleTimeRanges(
+        timeline="flight", start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+    )
+    flight = rrb.Spatial3DView(name="flight", origin="world", overrides={"world/path": [whole_path]})
+    return rrb.Blueprint(rrb.Horizontal(flight, beside, column_shares=[3, 2]), collapse_panels=True)
 
 
 def _log_rest(rr: Any, flown: ShownFlight) -> None:

@@ -36,7 +36,7 @@ S, E = FlightState, FlightEvent
 def test_it_looks_again_from_lower_down_and_lands() -> None:
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
     assert f.fly() is S.LANDED
-    assert f.executive.diary.end == (S.LANDED, "the autopilot says so")
+    assert f.executive.diary.end == (S.LANDED, "as the autopilot reports")
     looks = f.executive.diary.looks
     assert [round(x.height) for x in looks] == sorted((round(x.height) for x in looks), reverse=True)
     assert looks[-1].height == pytest.approx(6.0)

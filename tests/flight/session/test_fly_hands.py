@@ -332,7 +332,7 @@ def test_a_motion_that_is_no_number_moves_nothing() -> None:
 @pytest.mark.parametrize(
     ("state", "why", "dry", "code", "word"),
     [
-        (S.LANDED, "the autopilot says so", False, 0, "LANDED  the autopilot says so"),
+        (S.LANDED, "as the autopilot reports", False, 0, "LANDED  as the autopilot reports"),
         (S.RETURN, "all was searched", False, 4, "RETURNED  all was searched"),
         (S.HANDED_OVER, "by the switch", False, 4, "HANDED OVER  by the switch"),
         (S.LOOK, "ended by the user", False, 4, "ENDED  ended by the user"),

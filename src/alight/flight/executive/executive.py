@@ -132,7 +132,7 @@ class Executive:
         if self.state in (S.LANDED, S.HANDED_OVER):
             return None
         if now.standing and self.state in DOWN:  # before the pilot: some change the mode as motors stop
-            return E.TOUCHED_DOWN, "the autopilot says so"
+            return E.TOUCHED_DOWN, "as the autopilot reports"
         if not now.link:  # before the pilot: control is given away with the link
             return E.LINK_LOST, "no heartbeat"
         if now.pilot:
