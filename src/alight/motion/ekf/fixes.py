@@ -98,11 +98,11 @@ class FixWatch:
         late = MAX_GPS_AGE * steps[..., 4:7]  # the way of a late position while the velocity changes
         S += late[..., :, None] * late[..., None, :]
         distance = (moved[..., None, :] @ np.linalg.solve(S, moved[..., None]))[..., 0, 0]
-        steady = (moved[:, :1] * moved[:, 1:]).sum(axis=2).min(axis=1) > 0.0
-        if found := np.flatnonzero((distance > self._limit).all(axis=1) & steady).tolist():
+        mean = moved.mean(axis=1, keepdims=True)
+        steady = ((moved - 0.5 * mean) * mean).sum(axis=2).min(axis=1) > 0.0
+        if found := np.flatnonzero((distance.mean(axis=1) > self._limit) & steady).tolist():
             self._drifted_ns = t_ns
-            whole = ends[found[-1], 0] - ends[found[-1], -1]
-            self._speed = float(np.linalg.norm(whole[1:4]) / whole[0])
+            self._speed = float(np.linalg.norm(mean[found[-1]]) / seconds[found[-1]].mean())
 
     def admit(self, t_ns: int, passed: bool, vague: bool) -> bool:
         """Return whether a position is used.
