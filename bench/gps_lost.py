@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from motion_flights import interpolated
 from motion_scenarios import Sample, led_away, without_fix
-from point_flight import RIG, PointFlight, error, run
-from tables import DATA, Row, at_least, recording, show
+from point_flight import RIG, PointFlight, run
+from tables import DATA, Row, recording, show
 
 from alight.arrays import F64
 from alight.geometry import Pose
@@ -39,9 +39,7 @@ class Found:
         def off(m: Motion) -> F64:
             return np.asarray((m.world_from_body.translation - truth(m.t_ns).translation)[:2])
 
-        away = [
-            m for m in fly(lambda e, _: without_fix(e) if begin_ns <= e.t_ns < end_ns else e) if begin_ns <= m.t_ns
-        ]
+        away = [m for m in fly(lambda e, _: without_fix(e) if begin_ns <= e.t_ns < end_ns else e) if begin_ns <= m.t_ns]
         lost = [m for m in away if m.t_ns < end_ns and m.odometry and m.odometry.gps is GpsState.LOST]
         places = np.array([truth(m.t_ns).translation for m in away if m.t_ns < end_ns])
         way = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
@@ -109,8 +107,11 @@ def part_lost(args: argparse.Namespace) -> None:
             end = min(frames[-1], frames[0] + 64 * SECOND)
             one = Found()
             one.add(drawn, interpolated(source), frames[0] + 4 * SECOND, end)
-            print(f"  {folder.name}: drift {100 * one.drift[0]:.2f} %, covered {100 * one.covered[0]:.0f} %, "
-                  f"named after {one.seconds[0]:.1f} s, moved {one.moved[0]:.2f} m, doubted {one.alarms}", flush=True)
+            print(
+                f"  {folder.name}: drift {100 * one.drift[0]:.2f} %, covered {100 * one.covered[0]:.0f} %, "
+                f"named after {one.seconds[0]:.1f} s, moved {one.moved[0]:.2f} m, doubted {one.alarms}",
+                flush=True,
+            )
             for part in ("drift", "covered", "seconds", "moved"):
                 getattr(found, part).extend(getattr(one, part))
             found.alarms += one.alarms

@@ -17,13 +17,13 @@ from alight.motion.ekf.fixes import FixWatch
 from alight.records import GpsState, Motion, NavSample, Odometry
 from alight.settings import FilterSettings
 
-BEGIN, END = 4.0, 9.0  # s of the damage
+BEGIN, END = 8.0, 13.0  # s of the damage
 ONE = replace(RIG, cameras=RIG.cameras[:1])
 
 
 @cache
 def flight(seed: int = 3, rig_size: int = 2) -> PointFlight:
-    return PointFlight(seed=seed, seconds=17.0, count=60, rig=RIG if rig_size == 2 else ONE)
+    return PointFlight(seed=seed, seconds=21.0, count=60, rig=RIG if rig_size == 2 else ONE)
 
 
 def fly(how: Callable[[Sample, float], Sample], rig_size: int = 2) -> list[Motion]:
@@ -65,14 +65,17 @@ def steps(motions: list[Motion]) -> F64:
 
 
 def test_with_good_gps_the_watch_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Open(FixWatch):
+    class Unwatched(FixWatch):
         def compare(self, *_: object) -> None: ...
 
-        def admit(self, t_ns: int, passed: bool, vague: bool) -> bool:
+        def admit(self, *_: object) -> bool:
             return True
 
+        def on_exposure(self, t_ns: int) -> bool:
+            return False
+
     watched = fly(lambda e, _: e)
-    monkeypatch.setattr(filter_module, "FixWatch", Open)
+    monkeypatch.setattr(filter_module, "FixWatch", Unwatched)
     for a, b in zip(watched, fly(lambda e, _: e), strict=True):
         assert odometry(a).gps is GpsState.USED
         assert a.covariance.tobytes() == b.covariance.tobytes()
@@ -88,14 +91,14 @@ def test_silent_gps(cameras: int) -> None:
     motions, truth = fly(silent, cameras), flight(rig_size=cameras).truth
     assert states(motions, 1.0, BEGIN + 1.9) == [GpsState.USED]
     assert states(motions, BEGIN + 2.1, END) == [GpsState.LOST]
-    assert states(motions, END + 0.3, 17.0) == [GpsState.USED]
+    assert states(motions, END + 0.3, 21.0) == [GpsState.USED]
     lost = [m for m in motions if odometry(m).gps is GpsState.LOST]
     sigma = [float(np.sqrt(np.trace(odometry(m).covariance[:3, :3]))) for m in lost]
     assert sigma[0] < 0.01 < sigma[-1] < 0.5
     off = [m.world_from_body.translation - truth(m.t_ns).translation for m in (lost[0], lost[-1])]
     assert np.linalg.norm(off[1] - off[0]) < 3.5 * sigma[-1]
     assert odometry(lost[-1]).unaided == pytest.approx(END - BEGIN, abs=0.2)
-    assert steps([m for m in motions if seconds(m) > 1.0]).max() < 0.05
+    assert steps([m for m in motions if END - 0.3 < seconds(m) < END + 1.0]).max() < 0.03
     assert len({odometry(m).resets for m in motions if seconds(m) > 1.0}) == 1
 
 
@@ -106,9 +109,11 @@ def test_gps_that_is_led_away() -> None:
     named = next(m for m in motions if odometry(m).gps is GpsState.DRIFTS)
     assert BEGIN < seconds(named) < BEGIN + 2.0
     last = next(m for m in reversed(motions) if seconds(m) < END)
-    assert odometry(last).gps_why == "GPS drifts against the pictures at 1.0 m/s"
+    what, speed = odometry(last).gps_why.removesuffix(" m/s").split(" at ")
+    assert what == "GPS drifts against the pictures"
+    assert 0.7 < float(speed) < 1.3
     assert last.why.startswith("vision only")
-    assert states(motions, END + 6.5, 17.0)[-1] is GpsState.USED
+    assert states(motions, END + 6.5, 21.0)[-1] is GpsState.USED
     follows = [np.linalg.norm(a.world_from_body.translation - b.world_from_body.translation)
                for a, b in zip(motions, good, strict=True)]  # fmt: skip
     assert max(follows) < 0.25
@@ -116,9 +121,9 @@ def test_gps_that_is_led_away() -> None:
 
 def test_gps_that_jumps() -> None:
     motions = fly(lambda e, t: moved(e, 5.0) if BEGIN <= t < END - 2.0 else e)
-    assert states(motions, 1.0, 17.0)[:2] == [GpsState.USED, GpsState.JUMPED]
-    assert states(motions, END - 1.5, 17.0) == [GpsState.USED]
-    assert steps([m for m in motions if seconds(m) > 1.0]).max() < 0.05
+    assert states(motions, 1.0, 21.0)[:2] == [GpsState.USED, GpsState.JUMPED]
+    assert states(motions, END - 1.5, 21.0) == [GpsState.USED]
+    assert steps([m for m in motions if BEGIN < seconds(m) < END]).max() < 0.05
 
 
 def test_gps_whose_sigma_grows() -> None:
@@ -126,22 +131,21 @@ def test_gps_whose_sigma_grows() -> None:
         known = isinstance(e, NavSample) and e.sigma_position is not None and t >= BEGIN
         return replace(e, sigma_position=20.0 * e.sigma_position) if known else e  # type: ignore[arg-type, union-attr]
 
-    assert states(fly(vague), 1.0, 17.0) == [GpsState.USED, GpsState.VAGUE]
+    assert states(fly(vague), 1.0, 21.0) == [GpsState.USED, GpsState.VAGUE]
 
 
 def test_height_of_the_barometer() -> None:
     """Without GPS the height follows that of the barometer, up to the slow error that positions had."""
-    motions, truth = fly(lambda e, t: without_fix(e) if BEGIN <= t else e, 1), flight(rig_size=1).truth
+    motions, truth = fly(lambda e, t: without_fix(e) if t >= BEGIN else e, 1), flight(rig_size=1).truth
     up = [(m.world_from_body.translation - truth(m.t_ns).translation)[2] for m in motions if seconds(m) > BEGIN]
     assert np.ptp(up) < 0.6
 
 
 def watch_of(speed: Callable[[float], float], late: float = 0.0) -> list[GpsState]:
     """States of a watch of positions 10 times a second, of sigma 0.5 m, that are late, over a flight of that speed."""
-    watch, out, way = FixWatch(FilterSettings()), [], 0.0
+    watch, out = FixWatch(FilterSettings()), list[GpsState]()
     for k in range(150):
-        t, v = 0.1 * k, speed(0.1 * k)
-        way += 0.1 * v
+        v = speed(0.1 * k)
         off = np.array([-late * v, 0.0, 0.0])
         watch.compare(k * 100_000_000, off, np.array([v, 0.0, 0.0]), np.eye(3) * 1e-4, np.full(3, 0.5))
         watch.admit(k * 100_000_000, True, False)

@@ -73,5 +73,7 @@ class SightCheck:
             f"of which GPS itself may drift {gps:.2f} m (1-sigma)"
         )
         if drift > 3.0 * np.hypot(own, gps):
-            return warning(NAME, f"{evidence}; claimed was {own:.2f} m", "check calibration and mounting before flying by sight")
+            return warning(
+                NAME, f"{evidence}; claimed was {own:.2f} m", "check calibration and mounting before flying by sight"
+            )
         return good(NAME, evidence)
