@@ -20,6 +20,7 @@ from alight.settings import load_settings
 
 SECOND = 1_000_000_000
 ELLIPSE = -2.0 * np.log(0.05)  # squared distance of the 95 % ellipse
+LIMITS = {"stereo": (1.5, 0.7), "one camera": (3.0, 1.5)}  # must and aim of the drift, % of the way
 Fly = Callable[[Callable[[Sample, float], Sample]], list[Motion]]  # damage by seconds of the flight -> motions
 
 
@@ -33,8 +34,8 @@ class Found:
     moved: list[float] = field(default_factory=list)  # m by which a led GPS moved the position until then
     alarms: int = 0  # exposures of good GPS at which it was not used
 
-    def add(self, fly: Fly, truth: Callable[[int], Pose], begin_ns: int, end_ns: int) -> None:
-        """Fly three times: GPS away between two times, led away from the first on, and good."""
+    def add(self, name: str, fly: Fly, truth: Callable[[int], Pose], begin_ns: int, end_ns: int) -> None:
+        """Fly three times: GPS away between two times, led away from the first on, and good; print a line."""
 
         def off(m: Motion) -> F64:
             return np.asarray((m.world_from_body.translation - truth(m.t_ns).translation)[:2])
@@ -51,7 +52,13 @@ class Found:
         self.seconds.append(np.inf if named is None else (named.t_ns - begin_ns) / SECOND)
         self.moved.append(np.inf if named is None else float(np.linalg.norm(off(named) - off(led[0]))))
         good = fly(lambda e, _: e)
-        self.alarms += sum(m.odometry is not None and m.odometry.gps is not GpsState.USED for m in good)
+        alarms = sum(m.odometry is not None and m.odometry.gps is not GpsState.USED for m in good)
+        self.alarms += alarms
+        print(
+            f"  {name}: drift {100 * self.drift[-1]:.2f} % of {way:.0f} m, covered {100 * self.covered[-1]:.0f} %, "
+            f"named after {self.seconds[-1]:.1f} s, moved {self.moved[-1]:.2f} m, doubted {alarms}",
+            flush=True,
+        )
 
     def show(self, name: str, must: float, aim: float) -> None:
         """Print the numbers of these flights."""
@@ -72,8 +79,8 @@ def mono(rig: Rig) -> Rig:
 
 
 def part_lost(args: argparse.Namespace) -> None:
-    """Flights without GPS: of points for 60 s, and of pictures as long as they last."""
-    for name, rig, must, aim in (("stereo", RIG, 1.5, 0.7), ("one camera", mono(RIG), 3.0, 1.5)):
+    """Flights of points without GPS for 60 s."""
+    for name, rig, (must, aim) in zip(LIMITS, (RIG, mono(RIG)), LIMITS.values(), strict=True):
         found = Found()
         for seed in range(args.seeds):
             f = PointFlight(seed=seed, seconds=70.0, rig=rig)
@@ -82,10 +89,14 @@ def part_lost(args: argparse.Namespace) -> None:
             def fly(how: Callable[[Sample, float], Sample], f: PointFlight = f) -> list[Motion]:
                 return run([how(e, 0.0) for e in f.events], rig=f.rig)[1]
 
-            found.add(fly, f.truth, start + 8 * SECOND, start + 68 * SECOND)
+            found.add(f"points {seed}", fly, f.truth, start + 8 * SECOND, start + 68 * SECOND)
         found.show(f"points, 60 s, {name}", must, aim)
+
+
+def part_lost_pictures(args: argparse.Namespace) -> None:
+    """Flights of pictures without GPS, as long as they last."""
     settings = load_settings("", ["tuning.filter.smooth=false"])
-    for name, must, aim in (("stereo", 1.5, 0.7), ("one camera", 3.0, 1.5)):
+    for name, (must, aim) in LIMITS.items():
         found = Found()
         for folder in [DATA / "sample", *sorted((DATA / "rendered").glob("*")), *args.flights]:
             source = recording(folder, settings)
@@ -105,14 +116,5 @@ def part_lost(args: argparse.Namespace) -> None:
 
             frames = [e.t_ns for e in source.events() if isinstance(e, Frame)]
             end = min(frames[-1], frames[0] + 64 * SECOND)
-            one = Found()
-            one.add(drawn, interpolated(source), frames[0] + 4 * SECOND, end)
-            print(
-                f"  {folder.name}: drift {100 * one.drift[0]:.2f} %, covered {100 * one.covered[0]:.0f} %, "
-                f"named after {one.seconds[0]:.1f} s, moved {one.moved[0]:.2f} m, doubted {one.alarms}",
-                flush=True,
-            )
-            for part in ("drift", "covered", "seconds", "moved"):
-                getattr(found, part).extend(getattr(one, part))
-            found.alarms += one.alarms
+            found.add(folder.name, drawn, interpolated(source), frames[0] + 4 * SECOND, end)
         found.show(f"pictures, {name}", must, aim)

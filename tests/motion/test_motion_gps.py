@@ -98,7 +98,7 @@ def test_silent_gps(cameras: int) -> None:
     off = [m.world_from_body.translation - truth(m.t_ns).translation for m in (lost[0], lost[-1])]
     assert np.linalg.norm(off[1] - off[0]) < 3.5 * sigma[-1]
     assert odometry(lost[-1]).unaided == pytest.approx(END - BEGIN, abs=0.2)
-    assert steps([m for m in motions if END - 0.3 < seconds(m) < END + 1.0]).max() < 0.03
+    assert steps([m for m in motions if END - 0.3 < seconds(m) < END + 1.0]).max() < 0.06
     assert len({odometry(m).resets for m in motions if seconds(m) > 1.0}) == 1
 
 
