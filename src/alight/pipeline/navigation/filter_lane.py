@@ -161,7 +161,7 @@ class FilterLane:
             out.append(f"motion: lost in {self._lost} of {self._given} exposures, which are not used for the map")
         if self._led:
             out.append(
-                f"motion: GPS drifted against the pictures in {self._led} of {self._given} exposures, and is not used there"
+                f"motion: GPS drifted against the pictures in {self._led} of {self._given} exposures, and is unused"
             )
         if (state := self._filter.state) is not None and state.refused:
             out.append(f"motion: {state.refused} measurements led to no update (a singular matrix) and are left out")
