@@ -60,7 +60,10 @@ class NavUpdate:
                 HP = (H @ state.P[:CORE]) * unit[:, None]
         if used:
             kept = np.repeat([z.quantity in used for z in rows], [len(z.H) for z in rows])
+            before = state.core.copy()
             state.correct_by(residual[kept], HP[kept], np.ascontiguousarray(S[kept][:, kept]))
+            by = state.core - before
+            fixes.corrected(by[AT.pos], by[AT.vel])
         waits = position is None or (fixes.state is GpsState.RETURNING)
         rejected = health.on_gps(
             sample.t_ns, None if waits else Quantity.POSITION in used, bool(used - {Quantity.POSITION})
