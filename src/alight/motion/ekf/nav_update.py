@@ -53,7 +53,8 @@ class NavUpdate:
             else:
                 fixes.forget()
             if not fixes.admit(sample.t_ns, passed, self._is_vague(state, sigma)):
-                used -= {Quantity.POSITION, Quantity.VELOCITY} if fixes.drifts else {Quantity.POSITION}
+                # a velocity would correct the heading, and with it the whole way since the loss: a jump
+                used -= {Quantity.POSITION} if fixes.aided else {Quantity.POSITION, Quantity.VELOCITY}
             if fixes.aided is not aided:
                 log.warning("motion: %s", fixes.why or "GPS agrees with the pictures again and is used")
                 state.anchor()
