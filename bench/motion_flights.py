@@ -132,16 +132,16 @@ def _timed(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> F64:
     lane, out = FilterLane(rig, stages, history=False), []
     before: U8 | None = None
     for e in events:
-        batch = lane.batcher.take(e)
+        batch = lane._batcher.take(e)
         if batch is None or batch.frame is None or batch.frame.images[0] is None:
             continue
         at = [time.thread_time()]
-        lane.take_rows(batch)
+        lane._take_rows(batch)
         at.append(time.thread_time())
-        tracked = lane.tracking.track(batch)
-        assert tracked is not None
+        tracked = lane._track(batch.frame)
         at.append(time.thread_time())
-        lane.update(tracked)
+        lane._filter.feed(tracked)
+        lane._predictors.append(lane._filter.predictor())
         at.append(time.thread_time())
         image = cv2.cvtColor(batch.frame.images[0], cv2.COLOR_RGB2GRAY)
         before = image if before is None else before
