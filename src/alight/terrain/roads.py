@@ -10,14 +10,24 @@ import cv2
 import numpy as np
 
 from alight.arrays import F32, Mask
-from alight.raster import LEAST_SHARE, block_mean, close_mask, masked_gaussian, nearest_known, upsample, whole_blocks
+from alight.raster import (
+    LEAST_SHARE,
+    block_mean,
+    close_mask,
+    local_max,
+    masked_gaussian,
+    nearest_known,
+    upsample,
+    whole_blocks,
+)
 from alight.records import ElevationMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import lit
 
 BLOCK = 0.5  # metres, least side of the blocks in which strips are looked for
 ROAD = 1.5  # least length of a road, over that of the strips of which it consists
-SAME_HUE = 3.2  # sigmas of `road_tints` by which the hue of one road varies; its brightness varies more, by shadows
+SUREST = 0.9  # share of the highest score near by from which a block is the middle of a road, whose hue counts
+SAME_HUE = 3.5  # sigmas of `road_tints` by which the hue of one road varies; its brightness varies more, by shadows
 
 
 def roads(elevation: ElevationMap, landable: F32, settings: TerrainSettings) -> Mask:
@@ -88,7 +98,7 @@ def _strips(tints: Sequence[F32], bare: F32, block: float, settings: TerrainSett
     planes = [known.astype(np.float32), bare, sum(t * t for t in tints), *tints]
     rows, cols = known.shape
     side, out = math.ceil(math.hypot(rows, cols)) + 2, np.zeros((rows, cols), np.float32)
-    for turn in np.arange(0.0, 180.0, 15.0):
+    for turn in np.arange(0.0, 180.0, 11.25):
         matrix = cv2.getRotationMatrix2D(((cols - 1) / 2, (rows - 1) / 2), turn, 1.0)
         matrix[:, 2] += (side - cols) / 2, (side - rows) / 2
         turned = [cv2.warpAffine(p, matrix, (side, side), flags=cv2.INTER_NEAREST) for p in planes]
@@ -123,12 +133,11 @@ def _connected(score: F32, hues: Sequence[F32], landable: F32, block: float, set
     core = score > sure
     if not core.any():
         return core
-    same, near = score > doubtful, settings.road_widths[0] / block
+    same, near = score > doubtful, round(settings.road_widths[0] / block)
+    middle = core & (score >= SUREST * local_max(score, near))
     for hue in hues:
-        known, hue = np.isfinite(hue), np.nan_to_num(hue)
-        smooth = masked_gaussian(hue, known.astype(np.float32), 1.0)
-        of_core = masked_gaussian(hue, (known & core).astype(np.float32), near)
-        same &= np.abs(smooth - nearest_known(of_core, core)) < SAME_HUE
+        own = _trimmed(np.nan_to_num(hue), middle & np.isfinite(hue), near)
+        same &= np.abs(cv2.medianBlur(np.nan_to_num(hue), 3) - nearest_known(own, middle)) < SAME_HUE
     number, parts, boxes, _ = cv2.connectedComponentsWithStats(same.astype(np.uint8), connectivity=8)
     keep = np.zeros(number, np.bool_)
     for k in range(1, number):
@@ -136,3 +145,13 @@ def _connected(score: F32, hues: Sequence[F32], landable: F32, block: float, set
         long = math.hypot(*boxes[k, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]]) * block
         keep[k] = long >= ROAD * settings.road_length and core[at].any() and landable[at].mean() > 0.1
     return close_mask(keep[parts], 1)
+
+
+def _trimmed(values: F32, where: Mask, sigma: float) -> F32:
+    """Return the Gaussian mean of the values (R, C) in a mask about each block, without those farthest from it."""
+    for _ in range(2):
+        mean = masked_gaussian(values, where.astype(np.float32), sigma)
+        off = np.abs(values - mean)
+        spread = np.sqrt(masked_gaussian(off**2, where.astype(np.float32), sigma))
+        where = where & (off <= spread + LEAST_SHARE)
+    return masked_gaussian(values, where.astype(np.float32), sigma)

@@ -62,7 +62,7 @@ class TerrainTuning(FrozenModel):
         (0.06, 0.012, 0.012), description="Noise of log brightness, coolness and greenness of ground, 1-sigma"
     )
     road_unlike: tuple[float, float] = Field(
-        (0.27, 0.48),
+        (0.28, 0.48),
         description="Shares of the variance between a strip and its sides at which it may be and is a road",
     )
     car_height: tuple[float, float] = Field((0.8, 2.5), description="Least and largest height of a standing car, m")
