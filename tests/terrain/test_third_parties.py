@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from alight.records import ElevationMap, Terrain
+from alight.records import ElevationMap
 from alight.settings import Settings
 from alight.terrain.cars import standing_cars
 from alight.terrain.roads import roads
@@ -72,7 +72,7 @@ def box(length: float, width: float, height: float, turn: float = 0.4) -> NDArra
     return np.where((np.abs(along) < length / 2) & (np.abs(across) < width / 2), height, 0.0).astype(np.float32)
 
 
-PAVED = np.full((100, 100), Terrain.PAVED, np.uint8)
+PAVED = np.zeros((100, 100), np.float32)  # excess green
 
 
 @given(st.floats(3.6, 6.0), st.floats(1.6, 2.1), st.floats(1.2, 2.2), st.floats(0.0, math.pi))
@@ -91,7 +91,7 @@ def test_a_kerb_a_house_and_a_post_are_no_cars(length: float, width: float, heig
 
 
 def test_a_box_in_tall_plants_is_no_car() -> None:
-    plants = np.full((100, 100), Terrain.TALL_VEGETATION, np.uint8)
+    plants = np.full((100, 100), 0.2, np.float32)
     assert not standing_cars(box(4.5, 1.8, 1.5), plants, CELL, TERRAIN).any()
 
 
@@ -99,3 +99,7 @@ def test_a_car_is_found_where_few_of_its_heights_are_known() -> None:
     heights = box(4.5, 1.8, 1.5)
     heights[(heights > 0) & (np.random.default_rng(5).random(heights.shape) < 0.7)] = np.nan
     assert standing_cars(heights, PAVED, CELL, TERRAIN).any()
+
+
+def test_a_row_of_cars_whose_gaps_are_lost_is_found() -> None:
+    assert standing_cars(box(4.5, 12.0, 1.3), PAVED, CELL, TERRAIN).any()

@@ -158,7 +158,7 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     return TerrainMap(
         elevation.grid, label, landable, each[0].water, surfaces.enclosed(), surfaces.raised(), novelty,
         surely([p.bears for p in each]), roads(elevation, landable, settings),
-        standing_cars(_any_height_above(elevation, shape), label, cell, settings), colours.coloured,
+        standing_cars(_any_height_above(elevation, shape), colours.green, cell, settings), colours.coloured,
     )  # fmt: skip
 
 
