@@ -134,7 +134,7 @@ def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
         ("Ground", words.ground(site.terrain.name)),
         ("Touch down heading", words.bearing(site.heading)),
         *([("Nearest zone", words.near(site.zone))] if site.zone else []),
-        *([("Near by", words.nearest(site.near))] if site.near else []),
+        *([("Near by", words.near_by(site.near))] if site.near else []),
         ("Height within the map, 1-sigma", f"± {words.metres(site.height_sigma)}"),
         ("Place on Earth, 1-sigma" if result.georeferenced else "Place on Earth", _place_text(result)),
         ("Altitude, WGS84" if result.georeferenced else "Height above the origin", words.altitude(result, site)),
@@ -165,7 +165,7 @@ def _row(result: RunResult, s: Site) -> Row:
         words.place(result, s),
     )
     zone = f". Nearest zone: {words.near(s.zone)}" if s.zone else ""
-    zone += f". Near by: {words.nearest(s.near)}" if s.near else ""
+    zone += f". Near by: {words.near_by(s.near)}" if s.near else ""
     if s.kind == "site":
         note = f"{words.factors(s)}; {_score(result, s)}{zone}"
         return Row((*numbers, words.metres(s.radius), words.bearing(s.heading)), note)

@@ -57,7 +57,7 @@ def near(it: NearZone) -> str:
     return f"{it.label}, {metres(it.distance)}, bearing {bearing(it.bearing)}"
 
 
-def nearest(found: Sequence[NearZone]) -> str:
+def near_by(found: Sequence[NearZone]) -> str:
     """Return the road, car, person and building nearest to a site, by `near`."""
     return "; ".join(map(near, found))
 

@@ -251,9 +251,6 @@ class SitesKeys(FrozenModel):
     separation: Positive | None = Field(
         None, description="Least distance between two listed places, m; never below four footprint radii, null: those"
     )
-    third_party: bool = Field(
-        True, description="Roads that the map shows are avoided, standing cars, people and buildings kept out of"
-    )
     distance_weight: NonNegative = Field(0.0, description="Loss of quality per metre from the vehicle to the site, 1/m")
     every: int = Field(
         32,
