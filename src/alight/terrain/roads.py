@@ -24,7 +24,6 @@ from alight.records import ElevationMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import lit
 
-BLOCK = 0.5  # metres, least side of the blocks in which strips are looked for
 ROAD = 1.5  # least length of a road, over that of the strips of which it consists
 SUREST = 0.9  # share of the highest score near by from which a block is the middle of a road, whose hue counts
 SAME_HUE = 3.5  # sigmas of `road_tints` by which the hue of one road varies; its brightness varies more, by shadows
@@ -43,7 +42,7 @@ def roads(elevation: ElevationMap, landable: F32, settings: TerrainSettings) -> 
     cell, shape = elevation.grid.cell, elevation.grid.shape
     if math.hypot(*shape) * cell < ROAD * settings.road_length:
         return np.zeros(shape, np.bool_)
-    size = max(1, math.ceil(BLOCK / cell - LEAST_SHARE))
+    size = max(1, math.ceil(settings.block / cell - LEAST_SHARE))
     levels = np.where(lit(elevation.rgb)[..., None], elevation.rgb, elevation.picture(cell)[0])
     known = lit(levels) & (elevation.views > 0)
     red, green, blue = (levels[..., k].astype(np.float32) + 1 for k in range(3))
