@@ -42,5 +42,6 @@ def standing_cars(height_above: F32, green: F32, cell: float, settings: TerrainS
         is_high = known.size > 0 and low <= np.quantile(known, 0.75) <= high
         if (is_car or is_row) and is_high and count * cell**2 > FILLED * np.prod(sides):
             beside = grow(at, reach) & ~at
-            out[part] |= at & (min(leafless[part][beside].mean(), leafless[part][at].mean()) > 0.5)
+            open_ground = (leafless[part] & (stands[part] == 0))[beside].mean()
+            out[part] |= at & (min(open_ground, leafless[part][at].mean()) > 0.5)
     return out

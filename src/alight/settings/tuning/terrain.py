@@ -67,5 +67,5 @@ class TerrainTuning(FrozenModel):
     )
     car_height: tuple[float, float] = Field((0.8, 2.5), description="Least and largest height of a standing car, m")
     car_sides: tuple[tuple[float, float], tuple[float, float]] = Field(
-        ((1.3, 2.6), (3.0, 7.0)), description="Least and largest width of a standing car, and the same of its length, m"
+        ((1.3, 3.0), (3.0, 7.0)), description="Least and largest width of a standing car, and the same of its length, m"
     )
