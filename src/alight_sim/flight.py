@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from alight.arrays import F64, I64, U8
 from alight.geometry import LocalFrame, Pose
-from alight.records import Event, Frame, ImuSample, InputError, NavSample, Rig
+from alight.records import NO_ZONES, Event, Frame, ImuSample, InputError, NavSample, Rig, ZonesOnPlane
 from alight.settings import ImuNoise
 from alight_sim.cameras import Eye, Shutter
 from alight_sim.course import LEAD, Extent, chart
@@ -151,6 +151,11 @@ class SimulatedFlight:
     @property
     def flown_with(self) -> None:
         """None, because the flight was not flown live."""
+
+    @property
+    def zones(self) -> ZonesOnPlane:
+        """None, because the flight was not flown live."""
+        return NO_ZONES
 
     # -- time
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from descent_views import look, surface
+from ground import GREEN, GREY, ground, textured
 from some_run import candidate, elevation, hazards, site
 
 from alight.elevation import FIELDS, on_cells_up_to
@@ -18,9 +19,9 @@ from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.remembered import NOWHERE
 from alight.pipeline.timing import Timings
 from alight.raster import block_mean, cells_as_blocks
-from alight.records import ElevationMap, MissingVeto, NextView, Sites, Terrain, View
+from alight.records import ElevationMap, Hazard, MissingVeto, NextView, Sites, Terrain, View
 from alight.records.map_frame import MapFrame
-from alight.settings import Settings, TerrainSettings
+from alight.settings import Settings, TerrainSettings, load_settings
 
 
 def look_down(t_ns: int, cam: int, focal: float) -> View:
@@ -184,6 +185,37 @@ def test_a_roof_covers_what_is_not_known_of_its_place_in_another_frame() -> None
     roofs = memory.tied(frame.tie(later), later).roofs  # known to 0.6 m: 1.2 m on each side
     np.testing.assert_array_equal(np.ptp(roofs.cells, axis=0), [6, 6])
     np.testing.assert_array_equal(roofs.cells.mean(axis=0), [4, 6])
+
+
+def on_a_road(half: float) -> MapSnapshot:
+    """A road of 5 m through a level meadow, seen within `half` metres of its middle."""
+    n = round(2 * half / 0.2)
+    colour = textured(GREEN, (n, n), 0.1, 1)
+    beside = np.abs(np.arange(n) - (n - 1) / 2) * 0.2
+    colour[beside < 2.5] = textured(GREY, (n, n), 0.03, 2)[beside < 2.5]
+    seen = ground(np.zeros((n, n)), 0.2, 0.02, colour)
+    seen = replace(seen, grid=replace(seen.grid, east=0.1 - half, north=half - 0.1))
+    place = np.array([0.0, 0.0, 20.0]), 20.0
+    return MapSnapshot(seen, (look_down(1, 0, 300.0),), *place, MapFrame(0, np.zeros(3), np.eye(3)))
+
+
+def test_a_road_is_remembered_where_it_is_not_seen_how_far_it_goes_on() -> None:
+    lane, new = (JudgingLane(Settings().stages(), None, Timings()) for _ in range(2))
+    assert "road" not in [z.kind for z in new.judge(on_a_road(8.0)).others]
+    assert "road" in [z.kind for z in lane.judge(on_a_road(25.0)).others]
+    near = lane.judge(on_a_road(8.0))
+    assert near.land_cover is not None
+    assert near.land_cover.road is not None
+    (road,) = (z for z in near.others if z.kind == "road")
+    assert road.shape.area == pytest.approx(5.0 * 16.0, rel=0.3)
+    assert (near.hazards.reasons[near.land_cover.road] & Hazard.AVOID).all()
+
+
+def test_third_parties_can_be_turned_off() -> None:
+    alone = load_settings("", ("tuning.sites.third_party=false",)).stages()
+    verdict = JudgingLane(alone, None, Timings()).judge(on_a_road(25.0))
+    assert verdict.others == ()
+    assert not (verdict.hazards.reasons & Hazard.AVOID).any()
 
 
 def test_the_picture_of_a_large_map_is_coarser_and_its_pixels_say_so() -> None:

@@ -1,4 +1,4 @@
-"""Zones on the map: touchdowns that they refuse, and the zone nearest to each site."""
+"""Zones on the map: touchdowns that they refuse, and what lies nearest to each site."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from alight.geometry import Grid
 from alight.geometry.zones import rectangle_of
 from alight.raster import clearance_of
 from alight.records import Hazard, HazardMap, NearZone, Site, Sites
-from alight.records.zones import ONLY, GroundZone, Use, ZonesOnPlane, cut
+from alight.records.zones import FOUND, ONLY, GroundZone, Use, ZonesOnPlane, cut
 
 
 class _Touchdowns(NamedTuple):
@@ -34,13 +34,16 @@ class MapZones:
     Args:
         zones: the zones.
         reach: radius of the vehicle's disc, metres.
+        found: roads, cars, people and buildings that the map itself shows.
     """
 
-    def __init__(self, zones: ZonesOnPlane, reach: float) -> None:
-        self.plane, self._reach = zones, reach
+    def __init__(self, zones: ZonesOnPlane, reach: float, found: tuple[GroundZone, ...] = ()) -> None:
+        self.plane, self._reach = ZonesOnPlane((*zones.zones, *found), zones.note, zones.warnings), reach
 
     def judged(self, hazards: HazardMap, offset: F64 | tuple[float, float] = (0.0, 0.0)) -> HazardMap:
         """Return the hazards with the reasons of the zones; P(safe), the chance that the lander stands, stays."""
+        if not self.plane.zones:
+            return hazards
         grid = replace(hazards.grid, east=hazards.grid.east + offset[0], north=hazards.grid.north + offset[1])
         drawn = [t for t in self._against(rectangle_of(grid)) if not t.area.is_empty]
         zone = _drawn([t.area for t in drawn], grid)
@@ -73,25 +76,27 @@ class MapZones:
         return [z for z in shut if shapely.distance(z.shape, way) < z.reach + z.margin + self._reach]
 
     def named(self, sites: Sites, offset: F64 | tuple[float, float] = (0.0, 0.0)) -> Sites:
-        """Return the sites and candidates, each with the zone that is nearest to it."""
-        return replace(
-            sites,
-            sites=tuple(replace(s, zone=self._nearest(s, offset)) for s in sites.sites),
-            candidates=tuple(replace(s, zone=self._nearest(s, offset)) for s in sites.candidates),
-        )
+        """Return the sites and candidates, each with the zone, road, car, person and building nearest to it."""
+        given = [z for z in self.plane.zones if z.name and not z.shape.is_empty]
+        strict = [z for z in given if z.use in ("keep-out", "avoid")]
+        kinds = [[z for z in self.plane.zones if z.kind == kind and not z.shape.is_empty] for kind in FOUND]
 
-    def _nearest(self, site: Site, offset: F64 | tuple[float, float]) -> NearZone | None:
-        """Return the nearest zone to keep out of or to avoid; without any, the nearest other zone."""
-        zones = self.plane.of("keep-out", "avoid") or [z for z in self.plane.zones if not z.shape.is_empty]
-        if not zones:
-            return None
-        at = shapely.Point(site.east + offset[0], site.north + offset[1])
-        away = shapely.distance([z.shape for z in zones], at) - [z.reach for z in zones]
-        nearest = zones[int(away.argmin())]
-        to = np.subtract(*shapely.get_coordinates(shapely.shortest_line(nearest.shape, at)))
-        inside = away.min() <= 0.0
-        bearing = math.nan if inside else math.atan2(to[0], to[1]) % (2.0 * math.pi)
-        return NearZone(nearest.label, 0.0 if inside else float(away.min()), bearing)
+        def named(site: Site) -> Site:
+            near = tuple(_nearest(zones, site, offset) for zones in kinds if zones)
+            return replace(site, zone=_nearest(strict or given, site, offset) if given else None, near=near)
+
+        return replace(sites, sites=tuple(map(named, sites.sites)), candidates=tuple(map(named, sites.candidates)))
+
+
+def _nearest(zones: list[GroundZone], site: Site, offset: F64 | tuple[float, float]) -> NearZone:
+    """Return the nearest of `zones` to a site."""
+    at = shapely.Point(site.east + offset[0], site.north + offset[1])
+    away = shapely.distance([z.shape for z in zones], at) - [z.reach for z in zones]
+    nearest = zones[int(away.argmin())]
+    to = np.subtract(*shapely.get_coordinates(shapely.shortest_line(nearest.shape, at)))
+    inside = away.min() <= 0.0
+    bearing = math.nan if inside else math.atan2(to[0], to[1]) % (2.0 * math.pi)
+    return NearZone(nearest.kind, nearest.label, 0.0 if inside else float(away.min()), bearing)
 
 
 def _drawn(areas: list[shapely.Geometry], grid: Grid) -> U16:

@@ -115,8 +115,8 @@ def _hints(kind: Any) -> dict[str, Any]:
 def encode_evidence(result: RunResult) -> bytes:
     """Return a result without its answer as a NumPy archive: its arrays, and `head`, the rest as JSON."""
     kept = replace(
-        result, sites=Sites(()), elevation=None, terrain=None, hazards=None, route=None, timings={}, not_written={},
-        notes=plain(result.notes),
+        result, sites=Sites(()), others=(), elevation=None, terrain=None, hazards=None, route=None, timings={},
+        not_written={}, notes=plain(result.notes),
     )  # fmt: skip
     members = _Members()
     head = json.dumps(members.tree_of(kept)).encode()

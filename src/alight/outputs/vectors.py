@@ -64,16 +64,16 @@ def site_properties(site: Site, look: Sequence[float | None] | None = None) -> d
         "east_m": number(site.east, 3),
         "north_m": number(site.north, 3),
         "height_sigma_m": number(site.height_sigma, 4),
-        **_zone_properties(site),
+        **_near_properties(site),
         **(of_candidates if site.kind == "candidate" else {}),
     }
 
 
-def _zone_properties(site: Site) -> dict[str, Any]:
-    if site.zone is None:
-        return {}
-    near = {"zone": site.zone.label, "zone_m": number(site.zone.distance, 2), "zone_deg": degrees(site.zone.bearing, 1)}
-    return near | ({"avoid": site.avoid} if site.avoid else {})
+def _near_properties(site: Site) -> dict[str, Any]:
+    out: dict[str, Any] = {} if site.zone is None else {"zone": site.zone.label}
+    for near, kind in (*((n, n.kind) for n in site.near), *([(site.zone, "zone")] if site.zone else [])):
+        out |= {f"{kind}_m": number(near.distance, 2), f"{kind}_deg": degrees(near.bearing, 1)}
+    return out | ({"avoid": site.avoid} if site.avoid else {})
 
 
 def _in_metres(site: Site) -> dict[str, Any]:

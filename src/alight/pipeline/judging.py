@@ -11,6 +11,7 @@ from alight import hazards, memory, terrain
 from alight.elevation import on_cells_up_to
 from alight.landing import sites
 from alight.landing.reserve import Reserve
+from alight.landing.third_party import third_parties
 from alight.landing.zones import MapZones
 from alight.parallax.orthophoto import orthophoto
 from alight.parallax.wires.find import find_wires
@@ -19,9 +20,11 @@ from alight.pipeline.remembered import NOWHERE, CoverMemory, Remembered, WireMem
 from alight.pipeline.timing import Timings
 from alight.raster import upsample
 from alight.records import (
+    NO_ZONES,
     NOTHING_MISSING,
     ElevationMap,
     Flag,
+    GroundZone,
     HazardMap,
     MapEvidence,
     MapFrame,
@@ -67,6 +70,7 @@ class Verdict:
     frame: MapFrame  # map frame, with its position in the world
     missing: MissingVeto = NOTHING_MISSING
     evidence: MapEvidence | None = None  # in the map frame; None: not kept
+    others: tuple[GroundZone, ...] = ()  # roads, cars, people and buildings on the map, in the world
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -107,6 +111,7 @@ class JudgingMemory:
     lost: tuple[str, ...] = ()  # sites that were given up, in words, newest last
     warnings: tuple[str, ...] = ()  # warnings on sites after the motion was reinitialised
     roofs: Remembered = NOWHERE  # flat roofs, in the map frame: maps from low heights do not show the ground around
+    roads: Remembered = NOWHERE  # roads, in the map frame: maps from low heights do not show how far they go on
     cover: CoverMemory = field(default_factory=CoverMemory)  # land cover, in the map frame
     wires: WireMemory = field(default_factory=WireMemory)  # wires, in the map frame
 
@@ -122,8 +127,9 @@ class JudgingMemory:
         """Return the memory moved to another map frame, with a warning that counts the remaining sites."""
         before = len(self.kept.sites)
         moved = replace(
-            self, roofs=self.roofs.moved(*tie), cover=self.cover.moved(*tie), wires=self.wires.moved(tie.shift)
-        )
+            self, roofs=self.roofs.moved(*tie), roads=self.roads.moved(*tie), cover=self.cover.moved(*tie),
+            wires=self.wires.moved(tie.shift),
+        )  # fmt: skip
         if not before:
             return moved
         moved = moved.with_reserve(self.kept.tied(*tie, frame.frame_id), frame)
@@ -205,11 +211,15 @@ class JudgingLane:
             self.memory = replace(self.memory, wires=known.with_search(found, seen.views, seen.elevation.grid))
 
     def _with_earlier(self, land_cover: TerrainMap, t_ns: int) -> TerrainMap:
-        """Add the land cover to the memory, and return it with the roofs (G13c) and doubts (T8) of earlier maps."""
+        """Remember the land cover; return it with roofs (G13c), roads (G20) and doubts (T8) of earlier maps."""
         self.memory = replace(self.memory, cover=self.memory.cover.with_seen(land_cover, t_ns))
         land_cover, grid = self.memory.cover.doubted(land_cover), land_cover.grid
         roofs = self.memory.roofs.with_seen(shown_at(grid, land_cover.raised > 0.5), t_ns)
-        self.memory = replace(self.memory, roofs=roofs)
+        roads = self.memory.roads
+        if land_cover.road is not None:
+            roads = roads.with_seen(shown_at(grid, land_cover.road), t_ns)
+            land_cover = replace(land_cover, road=land_cover.road | roads.on(grid))
+        self.memory = replace(self.memory, roofs=roofs, roads=roads)
         return land_cover.with_roofs(np.maximum(land_cover.raised, roofs.on(grid)))
 
     def _follow(self, frame: MapFrame) -> None:
@@ -274,12 +284,15 @@ def judge_evidence(
         )
     _tidy(elevation)
     with timings.of("sites"):
-        at = evidence.frame.offset_world[:2]
-        found = found if zones is None else zones.judged(found, at)
+        at, others = evidence.frame.offset_world[:2], tuple[GroundZone, ...]()
+        if settings.sites.third_party:
+            others = third_parties(land_cover, grid, came, settings.hazards.traffic_margin, at)
+        limits = MapZones(NO_ZONES if zones is None else zones.plane, lander.reach, others)
+        found = limits.judged(found, at)
         chosen = sites.choose_sites(found, land_cover, elevation, settings.sites, lander, evidence.observer)
-        chosen = chosen if zones is None else zones.named(chosen, at)
+        chosen = limits.named(chosen, at)
     mapped = without_water(evidence.elevation, land_cover)
-    return Verdict(mapped, land_cover, found, chosen, evidence.frame, evidence.missing)
+    return Verdict(mapped, land_cover, found, chosen, evidence.frame, evidence.missing, others=others)
 
 
 def on_judging_cells(evidence: MapEvidence, lander: Lander) -> ElevationMap:

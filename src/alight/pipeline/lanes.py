@@ -129,5 +129,6 @@ def with_verdict(
         route = plan_route(sites.sites[0], elevation, vehicle, settings, world.hazards.wires, zones)
         route = replace(route, frame_id=frame.frame_id)
     return replace(
-        decision, sites=sites, elevation=world.elevation, terrain=world.land_cover, hazards=world.hazards, route=route
-    )
+        decision, sites=sites, elevation=world.elevation, terrain=world.land_cover, hazards=world.hazards, route=route,
+        others=verdict.others,
+    )  # fmt: skip

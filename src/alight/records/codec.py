@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
+import shapely
 
 from alight.documents import parse_json
 from alight.geometry import Camera, LocalFrame, Pose
 from alight.records.errors import InputError
 from alight.records.events import Rig, RigCamera
+from alight.records.zones import NO_ZONES, GroundZone, ZonesOnPlane
 from alight.settings import ImuNoise, Settings, settings_of_run
 
 HEAD, FORMAT = "alight", "ros2"  # name of the metadata of a recording, and what its messages are
 CAMERAS, NAV, IMU = "/cameras", "/nav", "/imu"  # topics of the input; the pictures have topics of their own
 SCHEDULE, NOTES = "/schedule", "/notes"  # topics of the run that are read back
 ORDERS, LANDING = "/orders", "/landing"  # topics of a landing in flight
-_DAMAGED = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
+_DAMAGED = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError, shapely.GEOSException)
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +33,7 @@ class FlightHead:
     georeferenced: bool
     imu_noise: ImuNoise
     settings: Settings
+    zones: ZonesOnPlane = NO_ZONES  # zones of the user, in the world
 
     def to_json(self) -> str:
         """Encode the head as JSON."""
@@ -47,6 +51,8 @@ class FlightHead:
                 "name": self.name, "cameras": cameras, "origin": asdict(self.local),
                 "georeferenced": self.georeferenced, "imu_noise": asdict(self.imu_noise),
                 "settings": self.settings.model_dump(mode="json"),
+                "zones": [{**vars(z), "shape": shapely.to_wkb(z.shape, hex=True)} for z in self.zones.zones],
+                "zones_note": self.zones.note,
             }
         )  # fmt: skip
 
@@ -69,7 +75,13 @@ class FlightHead:
             )
             return cls(
                 str(tree["name"]), Rig(cameras), LocalFrame(**tree["origin"]), bool(tree["georeferenced"]),
-                ImuNoise(**tree["imu_noise"]), settings_of_run(tree["settings"]),
+                ImuNoise(**tree["imu_noise"]), settings_of_run(tree["settings"]), _zones(tree),
             )  # fmt: skip
         except _DAMAGED as e:
             raise InputError(f"the recording's head is damaged or of another version ({e}); record again") from e
+
+
+def _zones(tree: dict[str, Any]) -> ZonesOnPlane:
+    """Return the zones of a head; a recording of an earlier version has none."""
+    zones = (GroundZone(**{**z, "shape": shapely.from_wkb(z["shape"])}) for z in tree.get("zones", ()))
+    return ZonesOnPlane(tuple(zones), str(tree.get("zones_note", "")))

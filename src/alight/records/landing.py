@@ -12,6 +12,7 @@ import numpy as np
 from alight.arrays import F32, F64, U16, Mask
 from alight.records.surface import OnGrid, Terrain
 from alight.records.wires import Wire
+from alight.records.zones import ZoneKind
 
 Kind = Literal["site", "candidate"]
 Doubt = Literal["relief", "obstacle", "ground", "wires", "zone"]  # the factors of P(safe); a zone to be avoided
@@ -125,9 +126,10 @@ class Observer:
 
 @dataclass(frozen=True)
 class NearZone:
-    """The zone nearest to a site."""
+    """The zone, road, car, person or building nearest to a site."""
 
-    label: str  # use, name and reason
+    kind: ZoneKind
+    label: str  # of a zone: use, name and reason
     distance: float  # metres from the site to the zone's border; 0: the site lies in it
     bearing: float  # rad, clockwise from north, from the site; NaN: the site lies in it
 
@@ -157,6 +159,7 @@ class Site:
     look: NextView | None = None  # candidate: the next view; None: no view would settle the doubt
     p_wires: float = 1.0
     zone: NearZone | None = None  # nearest zone; None: there are no zones
+    near: tuple[NearZone, ...] = ()  # nearest road, car, person and building, as far as there are any
     avoid: str = ""  # zone to be avoided in which it lies; it is a site only where there is no other place
     preferred: bool = False  # whether it lies in a zone whose sites rank higher
 

@@ -13,7 +13,7 @@ from alight.records.motion import Motion
 from alight.records.photos import PhotoOutcome, PhotoRow
 from alight.records.surface import ElevationMap, TerrainMap
 from alight.records.telemetry import Home
-from alight.records.zones import NO_ZONES, ZonesOnPlane
+from alight.records.zones import NO_ZONES, GroundZone, ZonesOnPlane
 from alight.settings import Settings
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ class Decision:
     hazards: HazardMap | None = None
     route: Route | None = None
     zones: ZonesOnPlane = NO_ZONES  # zones of the user
+    others: Sequence[GroundZone] = ()  # roads, cars, people and buildings that the map shows
     motions: Sequence[Motion] = ()
     height_above_ground: float | None = None  # metres, median over the exposures
     notes: Mapping[str, object] = field(default_factory=dict)  # facts by name: "focal": "held", "points": 19472

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, F64, U8, U16
+from alight.arrays import F32, F64, U8, U16, Mask
 from alight.geometry import Box, Grid
 
 
@@ -219,6 +219,8 @@ class TerrainMap(OnGrid):
     raised: F32  # (R, C) 0 to 1: membership of a level surface above the surrounding ground
     novelty: F32  # (R, C) novelty (T6): above 1, unlike all ground of the training set; NaN = unseen
     bears: F32  # (R, C) probability of firm, dry ground, rock included; NaN = unseen
+    road: Mask | None = None  # (R, C) on a road (G20); None: not judged
+    car: Mask | None = None  # (R, C) on a standing car (G21); None: not judged
     coloured: bool = True  # False: the pictures were grey, so that no colour veto applied
 
     @property

@@ -17,7 +17,9 @@ from alight.geometry.zones import Zone, united
 from alight.records.errors import InputError
 
 Use = Literal["keep-out", "avoid", "landing", "search", "prefer"]
+ZoneKind = Literal["zone", "road", "car", "person", "building"]
 USES: tuple[Use, ...] = get_args(Use)
+FOUND: tuple[ZoneKind, ...] = get_args(ZoneKind)[1:]  # what a map shows, too; each has a place of its own in the answer
 ONLY: tuple[Use, ...] = ("landing", "search")  # they refuse what lies outside them, so that even a far one counts
 
 
@@ -25,18 +27,19 @@ ONLY: tuple[Use, ...] = ("landing", "search")  # they refuse what lies outside t
 class GroundZone:
     """A part of the ground with its use: all points at most `reach` metres from a shape."""
 
-    name: str
+    name: str  # empty: it was found on the map
     use: Use
     shape: shapely.Geometry  # valid; longitude and latitude in degrees, in `ZonesOnPlane` east and north in metres
     reach: float = 0.0  # metres, half the width of a road
     margin: float = 0.0  # metres that the vehicle's disc keeps from the zone's border
     floor: float = 0.0  # metres above the ground, below which a keep-out zone is not crossed
     reason: str = ""
+    kind: ZoneKind = "zone"
 
     @property
     def label(self) -> str:
-        """Use, name and reason in words."""
-        return f"{self.use} zone {self.name}{f' ({self.reason})' if self.reason else ''}"
+        """Use, name and reason in words, or the kind of what was found on the map."""
+        return f"{self.use} zone {self.name}{f' ({self.reason})' if self.reason else ''}" if self.name else self.kind
 
 
 @dataclass(frozen=True, eq=False)

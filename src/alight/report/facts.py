@@ -133,7 +133,8 @@ def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
         ("To the nearest hazard", words.metres(site.clearance)),
         ("Ground", words.ground(site.terrain.name)),
         ("Touch down heading", words.bearing(site.heading)),
-        *([("Nearest zone", words.zone(site.zone))] if site.zone else []),
+        *([("Nearest zone", words.near(site.zone))] if site.zone else []),
+        *([("Near by", words.near_by(site.near))] if site.near else []),
         ("Height within the map, 1-sigma", f"± {words.metres(site.height_sigma)}"),
         ("Place on Earth, 1-sigma" if result.georeferenced else "Place on Earth", _place_text(result)),
         ("Altitude, WGS84" if result.georeferenced else "Height above the origin", words.altitude(result, site)),
@@ -163,7 +164,8 @@ def _row(result: RunResult, s: Site) -> Row:
         f"{s.quality:.2f}",
         words.place(result, s),
     )
-    zone = f". Nearest zone: {words.zone(s.zone)}" if s.zone else ""
+    zone = f". Nearest zone: {words.near(s.zone)}" if s.zone else ""
+    zone += f". Near by: {words.near_by(s.near)}" if s.near else ""
     if s.kind == "site":
         note = f"{words.factors(s)}; {_score(result, s)}{zone}"
         return Row((*numbers, words.metres(s.radius), words.bearing(s.heading)), note)

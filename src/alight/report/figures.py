@@ -16,6 +16,7 @@ from alight.report import canvas, paint, survey, words
 from alight.report.canvas import Canvas
 
 BADGE = 21.0  # page units, radius of a number
+ZONES = "Red: keep-out zones, cars, people, buildings; orange: roads, zones to be avoided; blue: other zones."
 ASIDE = tuple(
     (round(math.sin(a), 4), round(-math.cos(a), 4)) for a in np.radians([0, 45, -45, 90, -90, 135, -135, 180])
 )
@@ -157,7 +158,7 @@ def _explain(result: RunResult, zones: Sequence[ZoneMark]) -> list[str]:
     if result.sites.candidates:
         lines.append("Dashed circle with a square number: a candidate.")
     lines += ["White line: the flight."] if result.motions else []
-    lines += ["Red: keep-out zones; orange: to be avoided; blue: landing, search and preferred zones."] * bool(zones)
+    lines += [ZONES] * bool(zones)
     above = "above the home" if result.home else "relative to the site, not to the vehicle's home"
     zero = f" The heights of route.plan are {above}."
     return lines + (["Green dashes: the way to site 1." + zero] if result.route else [])

@@ -89,8 +89,8 @@ def rings_of(area: shapely.Geometry) -> list[list[shapely.Geometry]]:
 
 
 def zone_areas(result: RunResult, grid: Grid) -> list[tuple[GroundZone, shapely.Geometry]]:
-    """Return the zones with their areas on a grid, metres; those to keep out of come last, to be drawn on top."""
+    """Return zones, roads, cars, people and buildings with their areas on a grid; those to keep out of come last."""
     window = rectangle_of(grid)
-    zones = sorted(result.zones.zones, key=lambda z: USES[::-1].index(z.use))
+    zones = sorted([*result.zones.zones, *result.others], key=lambda z: USES[::-1].index(z.use))
     areas = ((z, z.shape.buffer(z.reach).intersection(window)) for z in zones)
     return [(z, area) for z, area in areas if not area.is_empty]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -50,11 +50,16 @@ def percent(value: float) -> str:
     return f"{value * 100:.0f} %" if value in (0.0, 1.0) else f"{value * 100:.1f} %"
 
 
-def zone(near: NearZone) -> str:
-    """Return the zone nearest to a site, as "keep-out zone farm, 12.3 m, bearing 045°" or "in avoid zone road"."""
-    if near.distance == 0.0:
-        return f"in {near.label}"
-    return f"{near.label}, {metres(near.distance)}, bearing {bearing(near.bearing)}"
+def near(it: NearZone) -> str:
+    """Return what is nearest to a site, as "keep-out zone farm, 12.3 m, bearing 045°" or "in avoid zone road"."""
+    if it.distance == 0.0:
+        return f"in {it.label}"
+    return f"{it.label}, {metres(it.distance)}, bearing {bearing(it.bearing)}"
+
+
+def near_by(found: Sequence[NearZone]) -> str:
+    """Return the road, car, person and building nearest to a site, by `near`."""
+    return "; ".join(map(near, found))
 
 
 def chance(probability: float) -> str:

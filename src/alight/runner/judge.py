@@ -12,10 +12,11 @@ from alight.geometry import LocalFrame
 from alight.hazards import assess
 from alight.hazards.sharpen import sharpen
 from alight.landing.sites import choose_sites
+from alight.landing.third_party import third_parties
 from alight.landing.zones import MapZones
 from alight.outputs.verdict import write_judgement
 from alight.pipeline.judging import find_land_cover
-from alight.records import NO_ZONES, ElevationMap, InputError, RunResult, TerrainMap
+from alight.records import NO_ZONES, ElevationMap, InputError, RunResult, TerrainMap, ZonesOnPlane
 from alight.result import Result
 from alight.runs import appearance_of
 from alight.settings import Settings, StageSettings, load_settings
@@ -56,18 +57,18 @@ def _land_cover(elevation: ElevationMap, settings: Settings) -> TerrainMap | Non
     return found if found.coloured else None
 
 
-def _zones(ground: GroundRaster, file: Path | None, reach: float) -> MapZones | None:
-    """Read the zones of a file for the plane of a raster; None: no file is given.
+def _zones(ground: GroundRaster, file: Path | None) -> ZonesOnPlane:
+    """Read the zones of a file for the plane of a raster; without a file there are none.
 
     Raises:
         InputError: the file cannot be used, or the raster has no place on Earth.
     """
     if file is None:
-        return None
+        return NO_ZONES
     zones, plane = read_zones(file), ground.plane
     if plane is None or not plane.reference.on_earth:
         raise InputError(f"--zones {file}: is for heights with a place on Earth; run it without")
-    return MapZones(zones.on_plane(plane.from_degrees, *plane.middle), reach)
+    return zones.on_plane(plane.from_degrees, *plane.middle)
 
 
 def judge_ground(ground: GroundRaster, settings: Settings, name: str, zones: Path | None = None) -> Result:
@@ -76,7 +77,7 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str, zones: Pat
     `name` is the name of the input, for the report; `zones` a file of zones. See `for_surveyed_heights` for suitable
     settings.
     """
-    limits = _zones(ground, zones, settings.lander.reach)
+    given = _zones(ground, zones)
     warnings, elevation, clock = list(ground.warnings), ground.elevation, [time.perf_counter()]
     if ground.image is not None and ground.image.shape[0] > elevation.grid.rows:
         finer = sharpen(elevation, ground.image, settings.tuning.hazards.sharpen)
@@ -89,13 +90,13 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str, zones: Pat
     notes = {"heights": ground.settled} if ground.settled else {}
     notes |= {"ground": GROUND_UNSEEN} if land_cover is None else {}
     clock.append(time.perf_counter())
-    hazards = assess(elevation, land_cover, stages.lander, stages.hazards)
-    if limits is not None:
-        hazards, notes, warnings = (
-            limits.judged(hazards),
-            notes | {"zones": limits.plane.note},
-            [*warnings, *limits.plane.warnings],
-        )
+    nobody = np.zeros(elevation.grid.shape, np.bool_)
+    others = third_parties(land_cover, elevation.grid, nobody, stages.hazards.traffic_margin)
+    others = others if stages.sites.third_party else ()
+    limits = MapZones(given, stages.lander.reach, others)
+    hazards = limits.judged(assess(elevation, land_cover, stages.lander, stages.hazards))
+    notes |= {"zones": given.note} if given.zones else {}
+    warnings += given.warnings
     clock.append(time.perf_counter())
     sites = choose_sites(hazards, land_cover, elevation, stages.sites, stages.lander)
     result = RunResult(
@@ -104,8 +105,9 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str, zones: Pat
         local=LocalFrame(0.0, 0.0, 0.0),
         georeferenced=False,  # the page shows the coordinates of the raster's plane
         settings=settings,
-        sites=sites if limits is None else limits.named(sites),
-        zones=NO_ZONES if limits is None else limits.plane,
+        sites=limits.named(sites),
+        zones=given,
+        others=others,
         terrain=land_cover,
         elevation=elevation,
         hazards=hazards,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from alight.documents import parse_yaml, read_text
-from alight.records.zones import Use
+from alight.records.zones import Use, ZoneKind
 
 GONE = ("tunnel", "covered", "indoor", "abandoned", "disused", "razed", "demolished", "proposed")
 HSTORE = re.compile(r'"((?:[^"\\]|\\.)*)"\s*=>\s*"((?:[^"\\]|\\.)*)"')
@@ -23,6 +23,7 @@ class MapFeature(NamedTuple):
     reach: float = 0.0  # metres about a line
     floor: float = 0.0  # metres
     is_area: bool = False  # whether a closed line is the border of an area
+    kind: ZoneKind = "zone"
 
 
 def map_feature(properties: Mapping[str, Any]) -> MapFeature | None:
@@ -56,7 +57,7 @@ def _railway(tags: Mapping[str, str], table: Any) -> MapFeature | None:
 
 
 def _building(tags: Mapping[str, str], table: Any) -> MapFeature | None:
-    return None if tags["building"] == "no" else MapFeature("", "keep-out", is_area=True)
+    return None if tags["building"] == "no" else MapFeature("", "keep-out", is_area=True, kind="building")
 
 
 def _power(tags: Mapping[str, str], table: Any) -> MapFeature | None:
@@ -74,7 +75,7 @@ def _highway(tags: Mapping[str, str], table: Any) -> MapFeature | None:
         return None
     lanes = table["lane"] * (_number(tags.get("lanes", "")) or 0.0)
     return MapFeature(
-        "", "avoid", 0.5 * (_number(tags.get("width", "")) or max(width, lanes)), 0.0, tags.get("area") == "yes"
+        "", "avoid", 0.5 * (_number(tags.get("width", "")) or max(width, lanes)), 0.0, tags.get("area") == "yes", "road"
     )
 
 

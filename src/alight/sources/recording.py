@@ -135,7 +135,7 @@ class Recording(Source):
         frames = self._found[CAMERAS]
         self.length = len(range(self._skip, frames, self._every))
         self.name, self.rig, self.local, self.georeferenced = head.name, head.rig, head.local, head.georeferenced
-        self.imu_noise, self.flown_with = head.imu_noise, head.settings
+        self.imu_noise, self.flown_with, self.zones = head.imu_noise, head.settings, head.zones
         self.schedule = Schedule(**{k: tuple(v) for k, v in entries.items()})
         self.notes |= {"cameras": [c.name for c in self.rig.cameras], "focal_from": "the recording"}
         self.notes |= {"in flight": notes} if notes else {}

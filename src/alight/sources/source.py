@@ -8,7 +8,7 @@ from typing import Any, Literal, Protocol
 
 from alight.arrays import I64
 from alight.geometry import LocalFrame, Pose
-from alight.records import Event, PhotoFacts, Rig, Schedule
+from alight.records import NO_ZONES, Event, PhotoFacts, Rig, Schedule, ZonesOnPlane
 from alight.settings import ImuNoise, Settings
 
 LARGEST = {  # larger values mean other units, typing errors or damage
@@ -82,6 +82,13 @@ class Described(Protocol):
     def notes(self) -> dict[str, Any]: ...
 
 
+class Replayed(Described, Protocol):
+    """A source with the zones of its flight."""
+
+    @property
+    def zones(self) -> ZonesOnPlane: ...
+
+
 class Source(ABC):
     """One recording: its cameras, the origin of its world, and its events in order of time."""
 
@@ -95,6 +102,7 @@ class Source(ABC):
     truth_trajectory: Trajectory | None = None  # true body poses in the world; None: unknown
     schedule: Schedule | None = None  # exposures that each lane used, if a live run was recorded
     flown_with: Settings | None = None  # settings, if a live run was recorded
+    zones: ZonesOnPlane = NO_ZONES  # zones in the world, if a live run was recorded with any
 
     def __init__(self) -> None:
         self.findings = Findings()

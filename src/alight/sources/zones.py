@@ -122,7 +122,7 @@ def _zone(feature: Mapping[str, Any], number: int) -> _Read | None:
         if mapped is None:
             return None
         shape = _shape(geometry, ("LineString", "MultiLineString", *AREAS), mapped.is_area)
-        zone = GroundZone(mapped.name, mapped.use, shape, mapped.reach, 0.0, mapped.floor)
+        zone = GroundZone(mapped.name, mapped.use, shape, mapped.reach, 0.0, mapped.floor, kind=mapped.kind)
         return _Read(number, name, zone, False)
     except _ZoneError as e:
         raise _ZoneError(f"{_label(number, name)}: {e}") from e

@@ -15,10 +15,12 @@ from alight.raster import close_mask, fill_pits, grow, upsample, without_specks
 from alight.records import LANDABLE, ElevationMap, Terrain, TerrainMap, is_measured
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, appearance, black_ground, seen
+from alight.terrain.cars import standing_cars
 from alight.terrain.enclosed import LevelSurfaces
 from alight.terrain.evidence import land_cover_terms
 from alight.terrain.model import PIXEL, Model, appearance_evidence, level_of, log_softmax
 from alight.terrain.relief import Relief, relief
+from alight.terrain.roads import roads
 from alight.terrain.water import ALIKE, dryness, open_water, ponds, wetness
 
 KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # classes along the first axis of log odds
@@ -157,11 +159,17 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     surfaces = LevelSurfaces.of(elevation, settings)
     cover = TerrainMap(
         elevation.grid, label, landable, each[0].water, surfaces.enclosed(), surfaces.raised(), novelty,
-        surely([p.bears for p in each]), colours.coloured,
+        surely([p.bears for p in each]), roads(elevation, landable, settings),
+        standing_cars(_any_height_above(elevation, shape), colours.green, cell, settings), colours.coloured,
     )  # fmt: skip
     water = surfaces.pools(open_water(cover) | (wet > ALIKE) & ~np.isin(label, HARD))
     dry = np.where(np.isin(label, PLANTS), dryness(water, elevation.height), np.float32(1))
     return replace(cover, bears=cover.bears * dry)
+
+
+def _any_height_above(elevation: ElevationMap, shape: Relief) -> F32:
+    """Return the height above the ground, (R, C) metres, of doubtful heights too."""
+    return np.where(np.isfinite(shape.height_above), shape.height_above, elevation.height - shape.ground)
 
 
 def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32], apart: int = 3) -> Iterator[tuple[str, F32]]:

@@ -13,7 +13,7 @@ from alight.landing.zones import MapZones
 from alight.outputs import prepare_folder
 from alight.outputs.recorder import Recorder, make_room
 from alight.pipeline import FlightPolicy
-from alight.records import AlightError, Event, Frame, RunResult
+from alight.records import NO_ZONES, AlightError, Event, Frame, RunResult
 from alight.records.codec import FlightHead
 from alight.runs import appearance_of, result_of
 from alight.settings import Settings
@@ -82,7 +82,10 @@ class LiveRun:
     ) -> None:
         prepare_folder(request.out, request.overwrite, request.inputs)
         self._source, self._settings = source, (settings := for_flight(request.settings))
-        head = FlightHead(source.name, source.rig, source.local, source.georeferenced, source.imu_noise, settings)
+        zones = NO_ZONES if request.zones is None else request.zones.plane
+        head = FlightHead(
+            source.name, source.rig, source.local, source.georeferenced, source.imu_noise, settings, zones
+        )
         if (kept := make_room(request.out / RECORDING)) is not None:
             log.warning("%s: the recording of a run that did not end is kept as %s", request.out, kept.name)
         self.recorder = Recorder(request.out / RECORDING, head) if request.record else None

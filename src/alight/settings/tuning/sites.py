@@ -10,6 +10,9 @@ from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 class SitesTuning(FrozenModel):
     """Constants for the selection of sites."""
 
+    third_party: bool = Field(
+        True, description="Roads that the map shows are avoided, standing cars, people and buildings kept out of"
+    )
     roomy: Positive = Field(
         5.0, description="Clearance that adds 1 to the score, and beyond which more adds nothing, m"
     )

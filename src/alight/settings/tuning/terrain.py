@@ -52,3 +52,20 @@ class TerrainTuning(FrozenModel):
     water_even: tuple[float, float] = Field(
         (0.04, 0.10), description="Deviations from its plane at which a surface is and is not even, m"
     )
+    road_widths: tuple[float, ...] = Field(
+        (2.5, 3.5, 5.0, 7.0, 10.0), description="Widths of strips that may be a road: a path to three lanes, m"
+    )
+    road_length: Positive = Field(
+        20.0, description="Length over which a strip must go on; a road is half as long again, m"
+    )
+    road_tints: tuple[float, float, float] = Field(
+        (0.06, 0.012, 0.012), description="Noise of log brightness, coolness and greenness of ground, 1-sigma"
+    )
+    road_unlike: tuple[float, float] = Field(
+        (0.28, 0.48),
+        description="Shares of the variance between a strip and its sides at which it may be and is a road",
+    )
+    car_height: tuple[float, float] = Field((0.8, 2.5), description="Least and largest height of a standing car, m")
+    car_sides: tuple[tuple[float, float], tuple[float, float]] = Field(
+        ((1.3, 3.0), (3.0, 7.0)), description="Least and largest width of a standing car, and the same of its length, m"
+    )
