@@ -98,7 +98,7 @@ def _sys_status(now: SimulatedAutopilot) -> Any:
 
 
 def _gps_raw_int(now: SimulatedAutopilot) -> Any:
-    lat, lon, msl = now.home.degrees(now.estimated)
+    lat, lon, msl = now.home.degrees(now.received)
     east, north, up = now.estimate.now.sigma
     return mavlink.MAVLink_gps_raw_int_message(
         round(now.boot * 1e6), 3 if now.fixed and now.ready else 1, round(lat * 1e7), round(lon * 1e7),
@@ -199,6 +199,7 @@ def _wind_cov(now: SimulatedAutopilot) -> Any:
 
 MAKERS: Mapping[str, Maker] = {
     "SYS_STATUS": _sys_status,
+    "TIMESYNC": lambda now: mavlink.MAVLink_timesync_message(0, round(now.boot * 1e9)),
     "SYSTEM_TIME": lambda now: mavlink.MAVLink_system_time_message(0, now.boot_ms),
     "GPS_RAW_INT": _gps_raw_int,
     "SCALED_IMU": _scaled_imu,
