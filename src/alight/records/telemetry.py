@@ -175,8 +175,12 @@ class Telemetry:
 
         After the loss of GPS, an estimator reports its position for 5 to 8 s more, but cannot keep it.
         """
-        fixed = self.gps.fix >= FIX_3D and self._is_recent("GPS_RAW_INT")
-        return self.has_position and (self.by_sight or fixed)
+        return self.has_position and (self.by_sight or self.has_fix)
+
+    @property
+    def has_fix(self) -> bool:
+        """Whether the receiver of GPS reported a fix in the last 10 s."""
+        return self.gps.fix >= FIX_3D and self._is_recent("GPS_RAW_INT")
 
     def _is_recent(self, *messages: str) -> bool:
         return min((self.ages[name] for name in messages if name in self.ages), default=0.0) < 10.0

@@ -22,6 +22,7 @@ class TelemetryReader(Protocol):
     """Interface of a reader of a vehicle's messages, such as `TelemetryEvents`."""
 
     starts: int  # number of the autopilot's boot that the messages belong to
+    by_sight: bool  # whether the autopilot's position and velocity come from our odometry
 
     def restart(self, starts: int) -> None:
         """Begin anew after a reboot of the autopilot; `starts` is the number of its boots so far."""
@@ -145,6 +146,7 @@ class Autopilot:
             if vehicle.on_message(received, self._now_ns) and events is not None:
                 if vehicle.starts > events.starts:
                     events.restart(vehicle.starts)
+                events.by_sight = vehicle.odometry.in_use
                 self._samples += events.feed(received.name, received.message, vehicle.clock)
 
     def _vehicle_of(self, heartbeat: ReceivedMessage) -> RemoteVehicle | None:

@@ -114,6 +114,7 @@ class OdometryLink:
         `t_ns`: present time of the `TimeoutClock`.
         """
         self._state.newest = replace(self._state.newest, by_sight=wanted)
+        self._state.positions.resets = True
         number = self._firmware.position_sources.get(wanted)
         if number is None:
             return None

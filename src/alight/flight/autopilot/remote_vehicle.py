@@ -17,7 +17,7 @@ from alight.flight.autopilot.dialect import mavlink
 from alight.flight.autopilot.fence import fence_region
 from alight.flight.autopilot.firmware import Firmware
 from alight.flight.autopilot.framing import ReceivedMessage
-from alight.flight.autopilot.odometry import OdometryLink
+from alight.flight.autopilot.odometry import ExternalPose, OdometryLink
 from alight.flight.autopilot.onboard import OnboardData
 from alight.flight.autopilot.setpoints import Guidance, Setpoint, Target
 from alight.flight.autopilot.status_texts import StatusText, TextJoiner
@@ -198,6 +198,10 @@ class RemoteVehicle:
         self._control.released()
         self._guidance.target = None
         self._commands.drop()
+
+    def send_odometry(self, pose: ExternalPose) -> bool:
+        """Send the motion of an exposure as external navigation; return False if the clocks are not tied."""
+        return self.alive and self.odometry.send(pose)
 
     def fly_by_sight(self, wanted: bool) -> int | None:
         """Order it to fly by our odometry, or by GPS; return the ticket, None if it needs no order (PX4 fuses both)."""
