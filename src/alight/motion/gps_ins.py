@@ -24,19 +24,20 @@ class Quantity(IntEnum):
     ATTITUDE = 1
     VELOCITY = 2
     RATE = 3
+    HEIGHT = 4
 
     @property
     def rows(self) -> slice:
-        """Rows of the quantity in (9,) sigmas and slowly varying errors; not for RATE."""
+        """Rows of the quantity in (9,) sigmas and slowly varying errors; not for RATE and HEIGHT."""
         return slice(3 * self, 3 * self + 3)
 
     @property
     def state(self) -> slice:
         """Rows of the core that the quantity measures."""
-        return (AT.pos, AT.att, AT.vel, AT.gyro)[self]
+        return (AT.pos, AT.att, AT.vel, AT.gyro, slice(AT.pos.stop - 1, AT.pos.stop))[self]
 
     def of(self, sample: NavSample) -> F64 | None:
-        """Return the quantity's value in a row of GPS/INS; None: not measured."""
+        """Return the quantity's value in a row of GPS/INS; None: not measured. Not for HEIGHT."""
         values = (sample.position_world, sample.world_from_body, sample.velocity_world, sample.angular_velocity_body)
         return values[self]
 
@@ -49,9 +50,9 @@ class NavMeasurement:
     """One quantity of a GPS/INS row, linearised: residual = H error + noise."""
 
     quantity: Quantity
-    residual: F64  # (3,)
-    H: F64  # (3, CORE) Jacobian with respect to the errors of the core
-    variance: F64  # (3,) of the white noise
+    residual: F64  # (3,); (1,) of a height
+    H: F64  # (3 or 1, CORE) Jacobian with respect to the errors of the core
+    variance: F64  # (3 or 1,) of the white noise
 
 
 def sigmas(sample: NavSample, noise: FilterSettings) -> F64:
@@ -121,6 +122,10 @@ def measurements(
     if sample.position_world is not None:
         residual = sample.position_world - (core[AT.pos] + core[AT.offset] + core[AT.nav_pos])
         add(Quantity.POSITION, residual, position, AT.pos, AT.offset, AT.nav_pos)
+    elif sample.height_world is not None:
+        up, H = core[AT.pos] + core[AT.offset] + core[AT.nav_pos], np.zeros((1, CORE))
+        H[0, [part.stop - 1 for part in (AT.pos, AT.offset, AT.nav_pos)]] = 1.0
+        out.append(NavMeasurement(Quantity.HEIGHT, sample.height_world - up[2:], H, position[2:]))
     if R is not None:
         expected = so3_exp(core[AT.nav_att]) @ state.R
         add(Quantity.ATTITUDE, so3_log(R @ expected.T), attitude, AT.att, AT.nav_att)

@@ -65,6 +65,7 @@ class NavSample:
     sigma_position: F64 | None = None  # (3,) metres, east north up
     sigma_attitude: F64 | None = None  # (3,) rad, roll pitch yaw
     sigma_velocity: F64 | None = None  # (3,) m/s, east north up
+    height_world: float | None = None  # metres above the world's origin, of a row without position: the barometer's
 
 
 @dataclass(frozen=True, eq=False)

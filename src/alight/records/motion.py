@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 
 import numpy as np
 
@@ -19,6 +19,34 @@ class MotionState(IntEnum):
     GOOD = 1
     DEGRADED = 2
     LOST = 3
+
+
+class GpsState(StrEnum):
+    """How the filter treats the positions of GPS/INS."""
+
+    USED = "used"
+    VAGUE = "vague"  # used, but they claim to be far less certain than the estimate
+    LOST = "lost"  # none comes
+    JUMPED = "jumped"  # they are outside their gate, and not used
+    DRIFTS = "drifts"  # they drift against the pictures; neither positions nor velocities are used
+    RETURNING = "returning"  # they are back within their gate, and not used yet
+
+
+@dataclass(frozen=True, eq=False)
+class Odometry:
+    """Facts about a motion for an autopilot that navigates by it.
+
+    The pose in the map frame has no jumps while `resets` is constant: positions that come back, or that jumped, move
+    only the offset of the map.
+    """
+
+    covariance: F64  # (9, 9) position [m], rotation vector in the world [rad], velocity [m/s], in the map frame (M29)
+    angular_velocity_body: F64  # (3,) rad/s, without the gyro bias
+    quality: float  # 0 to 1: share of the landmarks that the filter can hold, and of the features that pass; 0: none
+    resets: int = 0  # number of events at which the pose may have jumped
+    gps: GpsState = GpsState.USED
+    gps_why: str = ""  # reason why positions are not USED
+    unaided: float = 0.0  # s since the last position that was used
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +71,7 @@ class Motion:
         None  # (9,) translation [m], linear and quadratic turn [rad] of the camera, in its axes, during the readout
     )
     gain: F64 | None = None  # (3,) factor of the picture's colours that equalises all pictures
+    odometry: Odometry | None = None  # None: not from the filter
 
 
 @dataclass(frozen=True, eq=False)

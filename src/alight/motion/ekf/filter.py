@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 
@@ -18,29 +17,30 @@ import numpy as np
 from alight.arrays import F64
 from alight.geometry import Pose, so3_log
 from alight.motion.dynamics import MAX_RATE_AGE, Step, add_bias_walk, nav_decay, propagate
+from alight.motion.ekf.fixes import MAX_GPS_AGE, FixWatch
 from alight.motion.ekf.health import NEVER_NS, GateCounts, Health, is_diverged
 from alight.motion.ekf.initial_attitude import MAX_START_SIGMA, MIN_SHARED, CourseAttitude, PositionedExposure
 from alight.motion.ekf.keyframe_posterior import CloneWindow
+from alight.motion.ekf.nav_update import NavUpdate
 from alight.motion.ekf.prediction import MotionPredictor, instant
-from alight.motion.ekf.state import AT, CORE, POSITION_FIRST, FilterState, moment_in_world
-from alight.motion.ekf.state_kernels import propagate_errors, squared_distance
-from alight.motion.ekf.visual_update import VisualUpdate, gate_limits
-from alight.motion.gps_ins import NavMeasurement, Quantity, initial_state, measurements, sigmas
+from alight.motion.ekf.state import AT, POSITION_FIRST, FilterState, moment_in_world
+from alight.motion.ekf.state_kernels import propagate_errors
+from alight.motion.ekf.visual_update import VisualUpdate
+from alight.motion.gps_ins import Quantity, initial_state, sigmas
 from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.preintegration import OPEN_RATE_SIGMA, preintegrate
-from alight.records import ImuSample, Motion, MotionState, NavSample, RefinedMotions, Rig, Tracks
+from alight.records import ImuSample, Motion, MotionState, NavSample, Odometry, RefinedMotions, Rig, Tracks
 from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)
 
 LEAST_EXPOSURES = 3  # least exposures of a flight that is smoothed
-_MAX_GPS_REJECTION = 5.0  # s of GPS positions outside their gate that are a jump, not a short fault
-_MAX_GPS_AGE = 0.2  # s, largest age of a GPS position at the exposure for which it is used
 _IMU_KEEP_NS = 1_000_000_000  # ns of IMU samples kept beyond the largest lateness
 _MIN_AHEAD_NS = 3_000_000  # ns by which an exposure must follow its stamp to wait for the IMU
 _RATE_HALF_WINDOW_NS = 15_000_000  # ns, half of the time over which the angular velocity is averaged
 _RATE_MARGIN = 100.0  # on the variance of that mean: an error of the rate would look like a time offset
 _ATTITUDE_INFLATION = np.repeat([0.03, 0.3], [2, 1])  # rad about east, north, up: added when observations contradict
+_ODOMETRY = np.r_[AT.pos, AT.att, AT.vel]  # rows of the covariance of an odometry
 _MAX_INFLATIONS = 3  # inflations without a good exposure between, after which the filter starts again
 
 
@@ -50,6 +50,7 @@ class FilterMemory:
 
     visual: VisualUpdate
     health: Health
+    fixes: FixWatch
     state: FilterState | None = None
     predicted: Step | None = None  # pose and velocity as last predicted, before updates: Jacobians are taken here
     inertial: bool = False  # whether an IMU drives the motion
@@ -57,6 +58,8 @@ class FilterMemory:
     last_exposure_ns: int = NEVER_NS
     inflations: int = 0  # inflations of the attitude in a row
     frame_id: int = 0
+    resets: int = 0  # events at which the pose may have jumped
+    seen: bool = True  # whether the pictures supported the motion at the last exposure
     lost: bool = False
     last_nav: NavSample | None = None
     last_positioned: PositionedExposure | None = None  # first exposure of the pair that M26 looks for
@@ -69,7 +72,9 @@ class FilterMemory:
     def copy(self) -> FilterMemory:
         """Return an independent copy; records and arrays that are only replaced, never changed, are shared."""
         state = self.state.copy() if self.state is not None else None
-        return replace(self, visual=copy(self.visual), health=copy(self.health), state=state)
+        return replace(
+            self, visual=copy(self.visual), health=copy(self.health), fixes=copy(self.fixes), state=state
+        )  # fmt: skip
 
 
 @dataclass(eq=False)
@@ -109,8 +114,9 @@ class MotionFilter:
         self._settings = settings
         self._vague = False  # whether a warning on the sigmas of GPS/INS was given
         self._late_ns = round(settings.lateness * 1e9)
+        self._nav = NavUpdate(settings)
         visual, health = VisualUpdate(rig.cameras[0].camera, self._cams, settings), Health(settings.coast)
-        self._memory = FilterMemory(visual, health, frame_id=frame_id)
+        self._memory = FilterMemory(visual, health, FixWatch(settings), frame_id=frame_id)
         self._recording = RecordedFlight(rig, settings) if settings.smooth else None
         self._processed: deque[_Processed] = deque()
         self.imu = ImuBuffer()  # the last inertial measurements
@@ -227,10 +233,13 @@ class MotionFilter:
         self._propagate(m.state, sample.t_ns)
         if m.inflations >= _MAX_INFLATIONS and self._start(sample, sigma):
             return
+        if sample.height_world is not None:  # a row without position: the error of the height goes on as before
+            sigma[Quantity.POSITION.rows] = m.nav_sigma[Quantity.POSITION.rows]
         m.nav_sigma = sigma
+        self._nav.update(m.state, sample, sigma, m.inertial, m.health, m.fixes)
         if self._recording:
-            self._recording.nav.append(sample)
-        self._update_from_nav(m.state, sample, sigma)
+            drifts = m.fixes.drifts
+            self._recording.nav.append(replace(sample, position_world=None, velocity_world=None) if drifts else sample)
         if is_diverged(m.state):
             self._start_over(m.state, sample, sigma)
 
@@ -253,7 +262,9 @@ class MotionFilter:
         counts = m.visual.on_exposure(state, tracks) if len(tracks.ids) else GateCounts()
         if m.health.on_exposure(tracks.t_ns, counts):
             self._inflate_attitude(state)
-        motion = self._motion(state, tracks.t_ns, counts.passed)
+        if m.fixes.on_exposure(self._time_of(tracks)):
+            state.anchor()
+        motion = self._motion(state, tracks.t_ns, counts)
         if self._recording:
             self._recording.exposures.append((motion, tracks, state.core.copy()))
         return motion
@@ -263,7 +274,7 @@ class MotionFilter:
         m, nav = self._memory, self._memory.last_nav
         if nav is None or nav.position_world is None or nav.world_from_body is not None:
             return None
-        if (tracks.t_ns - nav.t_ns) * 1e-9 > _MAX_GPS_AGE:
+        if (tracks.t_ns - nav.t_ns) * 1e-9 > MAX_GPS_AGE:
             return None
         if m.state is not None and (tracks.t_ns - m.last_exposure_ns) * 1e-9 <= MAX_RATE_AGE:
             return None
@@ -283,13 +294,14 @@ class MotionFilter:
         if state is None:
             return False
         if m.state is not None:
-            m.frame_id += 1
+            m.frame_id, m.resets = m.frame_id + 1, m.resets + 1
             log.warning("motion: started anew from GPS/INS as map %d; earlier poses use another frame", m.frame_id)
             state.core[AT.time], state.P[AT.time, AT.time] = m.state.core[AT.time], m.state.P[AT.time, AT.time]
             state.refused = m.state.refused
         m.state, m.nav_sigma, m.inflations = state, sigma, 0
         m.visual.reset(state)
         m.health.restart(sample.t_ns)
+        m.fixes.restart(sample.t_ns)
         if m.inertial:
             self._start_biases(state)
         else:
@@ -340,45 +352,11 @@ class MotionFilter:
             state.rate_variance = float(state.P[AT.gyro, AT.gyro].diagonal().max())
         m.predicted = Step.at(state)
 
-    # -- GPS/INS ---------------------------------------------------------------------------------------------------
-
-    def _update_from_nav(self, state: FilterState, sample: NavSample, sigma: F64) -> None:
-        """Update the state by those quantities of a GPS/INS row, with `sigma` (9,), that pass their gates (M14-M16)."""
-        rows = measurements(state, sample, sigma, self._settings, self._memory.inertial)
-        quantities = self._correct_by_passed(state, rows) if rows else set()
-        position = Quantity.POSITION in quantities if sample.position_world is not None else None
-        rejected = self._memory.health.on_gps(sample.t_ns, position, bool(quantities - {Quantity.POSITION}))
-        if rejected > _MAX_GPS_REJECTION and sample.position_world is not None:
-            self._accept_jump(state, sample.position_world)
-
-    def _correct_by_passed(self, state: FilterState, rows: Sequence[NavMeasurement]) -> set[Quantity]:
-        """Update the state by the measurements that pass their own gates; return the quantities that passed."""
-        H = np.concatenate([z.H for z in rows])
-        residual, unit = np.concatenate([z.residual for z in rows]), np.concatenate([z.variance for z in rows]) ** -0.5
-        residual, HP = residual * unit, (H @ state.P[:CORE]) * unit[:, None]
-        S = (HP[:, :CORE] @ H.T) * unit
-        limit = gate_limits(np.array([3]), self._settings.gate)[0]
-        own = (slice(k, k + 3) for k in range(0, len(H), 3))
-        passed = [squared_distance(residual[k], S[k, k]) <= limit for k in own]
-        if any(passed):
-            used = np.repeat(passed, 3)
-            state.correct_by(residual[used], HP[used], np.ascontiguousarray(S[used][:, used]))
-        return {z.quantity for z, good in zip(rows, passed, strict=True) if good}
-
-    def _accept_jump(self, state: FilterState, position: F64) -> None:
-        """Assign a jump of the GPS/INS `position` (3,) to its slow error, so that the estimate does not move."""
-        expected = state.core[AT.pos] + state.core[AT.offset]
-        log.warning("GPS/INS position jumped by %.1f m", np.linalg.norm(position - expected - state.core[AT.nav_pos]))
-        state.core[AT.nav_pos] = position - expected
-        cross = -state.P[AT.pos] - state.P[AT.offset]  # (3, n): covariance of the new error with all errors
-        cross[:, AT.nav_pos] = 0.0
-        own = -cross[:, AT.pos] - cross[:, AT.offset] + np.eye(3) * self._settings.nav_position_white**2
-        state.P[AT.nav_pos], state.P[:, AT.nav_pos], state.P[AT.nav_pos, AT.nav_pos] = cross, cross.T, own
-        self._memory.health.on_gps(state.t_ns, True, True)
-
     def _inflate_attitude(self, state: FilterState) -> None:
         """Inflate the attitude covariance, because consistent observations contradict the state (M25)."""
         self._memory.inflations += 1
+        self._memory.resets += 1
+        self._memory.fixes.forget()
         log.warning("motion: the pictures contradict the state; its attitude is taken as less sure")
         self._memory.visual.reset(state)
         variance = np.diag(_ATTITUDE_INFLATION**2)
@@ -389,18 +367,29 @@ class MotionFilter:
 
     # -- results ---------------------------------------------------------------------------------------------------
 
-    def _motion(self, state: FilterState, stamp_ns: int, support: int) -> Motion:
+    def _motion(self, state: FilterState, stamp_ns: int, counts: GateCounts) -> Motion:
         m = self._memory
         judged, why = m.health.judge(state)
         m.inflations = 0 if judged is MotionState.GOOD else m.inflations
         if m.lost and judged is not MotionState.LOST:
-            m.frame_id += 1
+            m.frame_id, m.resets = m.frame_id + 1, m.resets + 1
             log.warning("motion: found again, as map %d; GPS/INS alone ties it to the earlier poses", m.frame_id)
         m.lost = judged is MotionState.LOST
         core, P, at, rig = state.core, state.P, AT.offset, Pose(state.rig, state.core[AT.pos])
         own, cross = P[np.ix_(POSITION_FIRST, POSITION_FIRST)], P[POSITION_FIRST, at]
         return Motion(
             stamp_ns, Pose(state.R, core[AT.pos]), tuple(rig @ c for c in self._cams),
-            moment_in_world(own, cross, core[at], P[at, at]), core[AT.vel].copy(), judged, support, core[at].copy(),
-            why, m.frame_id,
+            moment_in_world(own, cross, core[at], P[at, at]), core[AT.vel].copy(), judged, counts.passed,
+            core[at].copy(), why, m.frame_id, odometry=self._odometry(state, judged, counts),
+        )  # fmt: skip
+
+    def _odometry(self, state: FilterState, judged: MotionState, counts: GateCounts) -> Odometry:
+        m, P = self._memory, state.P
+        m.resets += m.health.sees and not m.seen  # what was not seen may have moved the state
+        m.seen = m.health.sees
+        works = m.seen and judged is not MotionState.LOST
+        share = min(counts.passed / self._settings.points, 1.0) * counts.passed / max(counts.passed + counts.failed, 1)
+        return Odometry(
+            P[np.ix_(_ODOMETRY, _ODOMETRY)], state.rate.copy(), share if works else 0.0, m.resets, m.fixes.state,
+            m.fixes.why, m.fixes.unaided(state.t_ns),
         )  # fmt: skip

@@ -14,7 +14,7 @@ NEVER_NS = -(1 << 62)  # ns, a time before all events
 _MIN_SUPPORT = 8  # features that must pass their gates, and at least as many as fail, to support the motion
 _FEW = 4  # fewer suffice if this many pass for each that fails: a pose has six degrees of freedom
 _DROPPED_FRAME = 0.5  # s without a supported exposure that are treated as a dropped frame
-_PHOTO_INTERVALS = 2.5  # the same time in intervals between exposures: photos come every few seconds
+PHOTO_INTERVALS = 2.5  # the same time in intervals between exposures: photos come every few seconds
 _SETTLING = 3  # supported exposures that end the initialisation
 _START, _START_INTERVALS = 3.0, 10.0  # s, intervals that end it in any case: a hover has no parallax
 _CONTRADICTIONS = 5  # exposures in a row in which most features contradict the state, until it is wrong
@@ -103,12 +103,25 @@ class Health:
             return True
         return False
 
+    @property
+    def _unsupported(self) -> float:
+        """Seconds at the last exposure since the last supported one."""
+        return (self._exposure_ns - self._supported_ns) * 1e-9
+
+    @property
+    def sees(self) -> bool:
+        """Whether the pictures support the motion."""
+        return self._unsupported <= max(_DROPPED_FRAME, PHOTO_INTERVALS * self._interval)
+
+    @property
+    def trusts_pictures(self) -> bool:
+        """Whether the pictures support the motion, and scatter as they claim."""
+        return self.sees and self._settled >= _SETTLING and self._innovation <= _MAX_INNOVATION
+
     def judge(self, state: FilterState) -> tuple[MotionState, str]:
         """Return the motion state at the last exposure, and the reason if it is not GOOD."""
-        t = self._exposure_ns
-        coast = max(self._coast, _PHOTO_INTERVALS * self._interval)
-        unsupported = (t - self._supported_ns) * 1e-9  # s
-        seen = unsupported <= max(_DROPPED_FRAME, _PHOTO_INTERVALS * self._interval)
+        t, unsupported, seen = self._exposure_ns, self._unsupported, self.sees
+        coast = max(self._coast, PHOTO_INTERVALS * self._interval)
         position, nav = (t - self._position_ns) * 1e-9 <= coast, (t - self._nav_ns) * 1e-9 <= coast
         if not nav and unsupported > coast:
             return MotionState.LOST, "neither the pictures nor GPS/INS hold the motion"

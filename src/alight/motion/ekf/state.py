@@ -94,6 +94,20 @@ class FilterState:
     rate_variance: float = 0.0  # (rad/s)^2
     refused: int = 0  # measurements that could not be used: not finite, or a singular matrix
 
+    def anchor(self) -> None:
+        """Take the present position as exact in the map frame (M29): its error becomes one of the map's offset.
+
+        Only differences of positions, and their sum with the offset, are ever measured, and these keep their errors.
+        """
+        position = np.arange(AT.pos.start, AT.pos.stop)
+        clones = [self.clone_rows.start + CLONE * i + position for i in range(len(self.clones))]  # rotation, position
+        landmarks = [self.landmark_start + LANDMARK * i + np.arange(LANDMARK) for i in range(len(self.landmarks))]
+        moved = np.concatenate([position, *clones, *landmarks])
+        for P in (self.P, self.P.T):  # rows, then columns
+            error = P[position]
+            P[moved] -= np.tile(error, (len(moved) // 3, 1))
+            P[AT.offset] += error
+
     def copy(self) -> FilterState:
         """Return an independent copy."""
         return replace(self, core=self.core.copy(), P=self.P.copy())
