@@ -15,6 +15,7 @@ from alight import terrain
 from alight.checks.result import Judged
 from alight.flight.autopilot import Autopilot, TelemetryEvents
 from alight.flight.executive.table import ENDS
+from alight.flight.live.sight import SightNavigation
 from alight.flight.session.pilot import LandingLog, LandingPilot
 from alight.flight.session.preflight import judge_motion
 from alight.landing.zones import MapZones
@@ -28,6 +29,7 @@ from alight.records.telemetry import FirmwareName
 from alight.settings import Settings
 from alight_sim.autopilot import DIALECTS, SimulatedAutopilot, SimulatedHome
 from alight_sim.autopilot.dialects import Doing
+from alight_sim.autopilot.memory import EXTERNAL_NAVIGATION
 from alight_sim.steered import FlownEstimate, SteeredFlight
 from alight_sim.steered.flight import IMU_RATE_HZ
 
@@ -59,6 +61,7 @@ def fly_landing(
     firmware: FirmwareName = "ardupilot",
     map_all: bool = False,
     zones: ZonesOnPlane = NO_ZONES,
+    odometry: bool = False,
 ) -> Landing:
     """Search, look, look from lower, and land or give up; return the end of the landing.
 
@@ -70,8 +73,9 @@ def fly_landing(
         firmware: firmware of the simulated autopilot.
         map_all: whether to make and judge the map of the whole flight at its end.
         zones: zones of the user, in the world of the vehicle.
+        odometry: whether odometry is sent, and the autopilot flies by it where GPS fails.
     """
-    trial = Trial(vehicle, settings, appearance, firmware, zones)
+    trial = Trial(vehicle, settings, appearance, firmware, zones, odometry)
     while not trial.over:
         if trial.begun:
             happening(trial)
@@ -124,12 +128,12 @@ class Trial:
     """One landing in closed loop, step by step.
 
     Args:
-        vehicle, settings, appearance, firmware, zones: see `fly_landing`.
+        vehicle, settings, appearance, firmware, zones, odometry: see `fly_landing`.
     """
 
     def __init__(
         self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None = None,
-        firmware: FirmwareName = "ardupilot", zones: ZonesOnPlane = NO_ZONES,
+        firmware: FirmwareName = "ardupilot", zones: ZonesOnPlane = NO_ZONES, odometry: bool = False,
     ) -> None:  # fmt: skip
         recursive = settings.parallax.model_copy(update={"method": "recursive"})
         self._vehicle, self._settings = vehicle, settings.model_copy(update={"parallax": recursive})
@@ -146,7 +150,9 @@ class Trial:
         home = SimulatedHome.at(local)
         self.autopilot = SimulatedAutopilot(DIALECTS[firmware], vehicle, home, FlownEstimate(vehicle))
         self.autopilot.hover(Doing.PILOT)
-        self._ours = Autopilot({"HIGHRES_IMU": IMU_RATE_HZ}, TelemetryEvents(local))
+        if odometry:
+            self.autopilot.memory.parameters |= EXTERNAL_NAVIGATION[firmware]
+        self._ours = Autopilot({"HIGHRES_IMU": IMU_RATE_HZ}, TelemetryEvents(local), odometry=odometry)
         self.link = TrialLink(self._ours, self.autopilot)
         while self._ours.vehicle is None:  # the autopilot sends its first heartbeat
             self.autopilot.step(STEP)
@@ -154,6 +160,8 @@ class Trial:
         self._pilot = LandingPilot(
             self._settings, local, self._ours.vehicle, self._ours.vehicle, policy, LandingLog(), zones
         )
+        if odometry:
+            self._pilot.sight = SightNavigation(self._ours.vehicle, self._ours.vehicle, LandingLog().note)
         self._later: list[tuple[int, int, Callable[[], None]]] = []  # due, number, call
         self._start_ns = vehicle.time_ns
         self._begin_ns: int | None = None
@@ -217,7 +225,7 @@ class Trial:
         with self._costs.of("pipeline"):
             motion = self._pipeline.feed(fresh)
         if motion is not None:
-            self._after(MOTION_NS, lambda: self._pilot.inputs.add_motion(motion))
+            self._after(MOTION_NS, lambda: self._pilot.on_motion(motion, self._vehicle.time_ns))
 
     def _judged(self, verdict: Verdict, t_ns: int) -> None:
         self._verdicts += 1

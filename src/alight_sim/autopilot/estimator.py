@@ -130,4 +130,4 @@ class Estimator:
         frames = {"ardupilot": mavlink.MAV_FRAME_LOCAL_FRD, "px4": mavlink.MAV_FRAME_LOCAL_NED}
         least = max(self._parameters.get("VISO_QUAL_MIN", 0.0), self._parameters.get("EKF2_EV_QMIN", 0.0))
         right = m.frame_id == frames[self._dialect.firmware] and m.child_frame_id == mavlink.MAV_FRAME_BODY_FRD
-        return right and m.quality >= least
+        return bool(right and m.quality >= least)

@@ -123,7 +123,8 @@ class SimulatedAutopilot:
 
     def reboot(self) -> None:
         """Boot again: motors off, clock at 0, requested streams forgotten."""
-        self.boot = self.middle = 0.0  # s, its own clock; and the middle of the interval of the inertial measurements
+        self.boot: float = 0.0  # s, its own clock
+        self.middle: float = 0.0  # s, the middle of the interval of the inertial measurements
         self._refuses_until = 0.0  # s
         self.logic: FlightLogic = FlightLogic(
             self.dialect, interlock=False if self.kind == mavlink.MAV_TYPE_HELICOPTER else None

@@ -3,8 +3,8 @@
 from alight.flight.autopilot.autopilot import Autopilot
 from alight.flight.autopilot.border import EstimateTie, metres_between
 from alight.flight.autopilot.fence import on_plane
-from alight.flight.autopilot.odometry import ExternalPose
 from alight.flight.autopilot.links import Link, open_link
+from alight.flight.autopilot.odometry import ExternalPose
 from alight.flight.autopilot.parameters import judged_parameters
 from alight.flight.autopilot.remote_vehicle import RemoteVehicle
 from alight.flight.autopilot.setpoints import Setpoint

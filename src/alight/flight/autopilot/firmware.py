@@ -48,6 +48,7 @@ class Firmware(ABC):
     high_site: float  # metres above home from which its LAND descends fast
     odometry_frame: int  # MAV_FRAME of ODOMETRY with axes north, east, down
     odometry_by_our_clock: bool  # whether it converts the stamps of ODOMETRY itself, by TIMESYNC requests of its own
+    odometry_rates: Mapping[str, float] = MappingProxyType({"LOCAL_POSITION_NED": 10.0})  # Hz, of further messages
     position_sources: Mapping[bool, int] = MappingProxyType({})  # its set of sources with odometry (True), with GPS;
     # empty: it fuses both, and takes no command
     modes: Mapping[str, FlightMode]  # by the autopilot's names; other names are OTHER
@@ -189,7 +190,8 @@ class Px4Firmware(Firmware):
     }
     high_site = 4.0  # LAND slows down from MPC_LAND_ALT1, 10 m, to MPC_LAND_ALT2, 5 m
     odometry_frame = mavlink.MAV_FRAME_LOCAL_NED  # in LOCAL_FRD it would turn the position by its own error of heading
-    odometry_by_our_clock = True  # else, without TIMESYNC from it to us, it takes the time of arrival
+    odometry_by_our_clock = True  # without TIMESYNC from it to us it takes the time of arrival
+    odometry_rates: Mapping[str, float] = {"LOCAL_POSITION_NED": 10.0, "TIMESYNC": 10.0}
     modes: Mapping[str, FlightMode] = {
         "OFFBOARD": FlightMode.GUIDED,
         "AUTO.MISSION": FlightMode.MISSION,

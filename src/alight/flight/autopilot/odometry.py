@@ -87,7 +87,7 @@ class OdometryLink:
         return self._state.newest.by_sight
 
     def place_at(self, t_ns: int) -> F64 | None:
-        """Return the autopilot's local position, (3,) metres east, north, up, at an instant of our clock; None: unknown.
+        """Return the autopilot's local position at an instant of our clock, (3,) metres east, north, up; None: unknown.
 
         It is extrapolated from the newest LOCAL_POSITION_NED.
         """
@@ -114,7 +114,7 @@ class OdometryLink:
         `t_ns`: present time of the `TimeoutClock`.
         """
         self._state.newest = replace(self._state.newest, by_sight=wanted)
-        self._state.positions.resets = True
+        self._state.positions.expects_resets = True
         number = self._firmware.position_sources.get(wanted)
         if number is None:
             return None

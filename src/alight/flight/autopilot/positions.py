@@ -74,7 +74,8 @@ class PositionLog:
     """
 
     def __init__(self) -> None:
-        self.resets = False  # whether the estimator may be reset by metres, as where its source changes
+        self.expects_resets = False  # whether the estimator may be reset by metres, as where its source changes
+        self.resets = 0  # number of such resets
         self._reports: list[PositionReport] = []
         self._arrivals: deque[tuple[int, int]] = deque(maxlen=_KEPT)  # our clock, and the autopilot's stamp, ns
         self._newest: PositionReport | None = None  # report accepted last
@@ -95,8 +96,9 @@ class PositionLog:
             if report.boot_ns - self._doubted_since_ns < 1_000_000_000:
                 return False
             self._reports.clear()  # they belong to another estimate
-        if self.resets and self._reports and self._is_reset(report):
+        if self.expects_resets and self._reports and self._is_reset(report):
             self._reports.clear()  # positions before the reset differ by it; the nearest after it count
+            self.resets += 1
         self._newest, self._doubted = report, None
         insort(self._reports, report, key=_stamp)  # the link may reorder them
         del self._reports[:-_KEPT]

@@ -107,6 +107,11 @@ class RemoteVehicle:
         return self._state.positions.doubted
 
     @property
+    def place_resets(self) -> int:
+        """Number of resets of the autopilot's estimate, which moved its positions by metres, since it flew by sight."""
+        return self._state.positions.resets
+
+    @property
     def place_age(self) -> float:
         """Age of the newest position, seconds; inf: no position."""
         return self._state.positions.age(self.clock.theirs_ns(self._now_ns)) if self.clock.known else math.inf
@@ -310,6 +315,7 @@ class RemoteVehicle:
         elif name == "STATUSTEXT":
             self._note_texts(self._texts.add(m, self._now_ns))
         elif m.tc1 == 0:  # a request; its stamp goes back with ours
+            self._streams.on_message(name, self._timeouts.t_ns)
             self._send(mavlink.MAVLink_timesync_message(self._now_ns, m.ts1))
         elif self.clock.add_answer(m.ts1, m.tc1, self._now_ns) and self._now_ns - m.ts1 < _FRESH_NS:
             self._on_stamp(m.tc1)

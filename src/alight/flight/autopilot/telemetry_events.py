@@ -149,7 +149,7 @@ class TelemetryEvents:
         if position is None or not clock.known:
             return []
         sigma = _sigmas(gps.horizontal, gps.vertical)
-        return [NavSample(clock.ours_ns(m.time_usec * 1000), position, sigma_position=sigma)]
+        return [NavSample(clock.ours_ns(m.time_usec * 1000), position, None, sigma_position=sigma)]
 
     def _position(self, place: Place) -> F64 | None:
         """Return a position in the world, (3,) metres; None: its height above the ellipsoid is unknown."""

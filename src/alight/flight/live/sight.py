@@ -36,9 +36,7 @@ class SightNavigation:
         note: called with the name of a lane and each change in words.
     """
 
-    def __init__(
-        self, vehicle: RemoteVehicle, commands: OdometryReceiver, note: Callable[[str, str], None]
-    ) -> None:
+    def __init__(self, vehicle: RemoteVehicle, commands: OdometryReceiver, note: Callable[[str, str], None]) -> None:
         self._vehicle, self._commands, self._note = vehicle, commands, note
         self.in_use = False  # whether the autopilot flies by sight
         self.stays = False  # whether GPS must not be used again now
