@@ -92,12 +92,12 @@ class Estimator:
     def _taken(self, stamp: float, t: float) -> float:
         """Return when what came at `t` was measured: each autopilot corrects the sender's `stamp` in its way.
 
-        PX4 converts it by its own TIMESYNC; without, the delay is a parameter. ArduPilot takes the least delay so far
-        for none, and corrects that by a parameter.
+        PX4 converts it by its own TIMESYNC; without, it takes the arrival. ArduPilot takes the least delay so far for
+        none. Both correct that by a parameter.
         """
         if self._dialect.firmware == "px4":
-            late = 1e-3 * self._parameters.get("EKF2_EV_DELAY", 0.0)
-            return t - late if self._offset is None else stamp + self._offset
+            known = t if self._offset is None else stamp + self._offset
+            return known - 1e-3 * self._parameters.get("EKF2_EV_DELAY", 0.0)
         self._offset = min(t - stamp, math.inf if self._offset is None else self._offset)
         return stamp + self._offset - 1e-3 * self._parameters.get("VISO_DELAY_MS", 10.0)
 

@@ -61,7 +61,7 @@ class Autopilot:
     ) -> None:
         self._framing = Framing(1, component, key)
         self._component, self._events, self._rates = component, events, dict(rates or {})
-        self._odometry = odometry
+        self.odometry = odometry  # whether odometry is sent
         self._out: list[bytes] = []
         self._notices: list[Notice] = []
         self._samples: list[NavSample | ImuSample] = []
@@ -167,7 +167,7 @@ class Autopilot:
         self._framing.set_sender(system, self._component)
         self._interference = Interference((m.autopilot, m.type))
         self._note(NoticeKind.FOUND, f"{firmware.name}, system {system}")
-        rates = {**(firmware.odometry_rates if self._odometry else {}), **self._rates}
+        rates = {**(firmware.odometry_rates if self.odometry else {}), **self._rates}
         return RemoteVehicle(heartbeat, firmware(), (system, self._component), rates, self._send, self._note)
 
     def _send(self, outgoing: Any) -> None:

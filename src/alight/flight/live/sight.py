@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from typing import Protocol
@@ -45,6 +46,7 @@ class SightNavigation:
         self._resets = 0
         self._shift: F64 | None = None  # (3,) metres, from the map frame to the autopilot's local coordinates
         self._last_shift: F64 | None = None  # the same by the newest position that GPS has given
+        self._tied_ns = self._compared_ns = 0  # exposures of the two
         self._used_since_ns: int | None = None  # since when the filter uses GPS
         self._ticket: int | None = None
         self._refused = False
@@ -54,6 +56,14 @@ class SightNavigation:
         """Number of messages per second, over all so far; 0 before the second."""
         sent = self._sent_ns
         return (len(sent) - 1) / max((sent[-1] - sent[0]) * 1e-9, 1e-3) if len(sent) > 1 else 0.0
+
+    @property
+    def deviation(self) -> str:
+        """How far GPS has moved away from the odometry since it was tied to it, in words."""
+        if self._shift is None or self._last_shift is None:
+            return "not compared with GPS"
+        apart, seconds = math.dist(self._shift[:2], self._last_shift[:2]), (self._compared_ns - self._tied_ns) * 1e-9
+        return f"{apart:.1f} m from GPS after {seconds:.0f} s"
 
     def on_motion(self, motion: Motion, now_ns: int) -> None:
         """Process the motion of an exposure at `now_ns` of our clock: send it, and choose the source."""
@@ -66,6 +76,7 @@ class SightNavigation:
         if series != self._series or self._shift is None:
             self._tie(shift)
             self._series, self._last_shift = series, shift
+            self._tied_ns = self._compared_ns = motion.t_ns
         sees = motion.state in (MotionState.GOOD, MotionState.DEGRADED) and odometry.quality > 0
         trusted = odometry.gps in (GpsState.USED, GpsState.VAGUE) and self._vehicle.telemetry.has_fix
         if not trusted:
@@ -73,7 +84,7 @@ class SightNavigation:
         elif self._used_since_ns is None:
             self._used_since_ns = now_ns
         if trusted and not self.in_use:
-            self._last_shift = shift
+            self._last_shift, self._compared_ns = shift, motion.t_ns
         self._choose(motion, sees, now_ns)
         if sees and self._shift is not None:
             pose = ExternalPose(

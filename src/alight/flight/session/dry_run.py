@@ -104,7 +104,7 @@ def report_parameters(feed: TelemetryFeed, on_line: Callable[[str], None]) -> No
     while time.monotonic() < end:
         with feed.lock:
             vehicle = feed.autopilot.vehicle
-            found = [] if vehicle is None else preflight.judge_parameters(vehicle)
+            found = [] if vehicle is None else preflight.judge_parameters(vehicle, feed.autopilot.odometry)
             read = vehicle is not None and vehicle.onboard.parameters_over
         if read:
             for check in found:

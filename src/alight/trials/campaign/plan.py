@@ -53,8 +53,11 @@ def _own_faults(rng: np.random.Generator, odometry: bool) -> tuple[FaultRecord, 
     """Draw a fault of the vehicle in a third of the landings or, with odometry, one of GPS in each."""
     if not odometry:
         return (_fault(rng),) if rng.random() < 1 / 3 else ()
-    what, state = str(rng.choice(list(GPS_FAULTS))), rng.choice([None, *(s.value for s in AT_STATES)])
-    after, numbers = rng.uniform(0.0, 20.0 if state is None else 8.0), GPS_FAULTS[what].draw(rng)
+    what, state = (
+        str(rng.choice(list(GPS_FAULTS))),
+        str(rng.choice([FlightState.SEARCH.value, *(s.value for s in AT_STATES)])),
+    )
+    after, numbers = rng.uniform(0.0, 8.0), GPS_FAULTS[what].draw(rng)
     return (FaultRecord(what=what, after=after, state=state, numbers=numbers),)
 
 
