@@ -1,9 +1,9 @@
 """Ego-motion against its requirements: one table, each number with its `must` and `aim` beside it.
 
     python bench/bench_motion.py                        all of it
-    python bench/bench_motion.py nees outage speed      some parts: nees batch outage sample speed
+    python bench/bench_motion.py nees outage speed      some parts: nees batch outage lost lost-pictures sample speed
 
-`nees`, `batch` and `outage` fly without images; `sample` and `speed` need the recordings in ../shared/data (or
+`nees`, `batch`, `outage` and `lost` fly without images; the others need the recordings in ../shared/data (or
 $ALIGHT_DATA) and report when they are absent.
 """
 
@@ -19,6 +19,7 @@ from scipy.stats import chi2
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 
+from gps_lost import part_lost, part_lost_pictures
 from motion_flights import part_sample, part_speed
 from motion_scenarios import OUTAGE
 from point_flight import NOISE, PointFlight, error, nees, run
@@ -75,6 +76,8 @@ PARTS = {
     "nees": part_nees,
     "batch": part_batch,
     "outage": part_outage,
+    "lost": part_lost,
+    "lost-pictures": part_lost_pictures,
     "sample": part_sample,
     "speed": part_speed,
 }
@@ -84,6 +87,10 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", help=" ".join(PARTS) + "; without any: all")
+    parser.add_argument("--seeds", type=int, default=12, help="flights of points of the part `lost`")
+    parser.add_argument(
+        "--flights", type=Path, nargs="*", default=[], help="more recordings for the part `lost-pictures`"
+    )
     options = parser.parse_args()
     if unknown := set(options.parts) - set(PARTS):  # `choices` refuses to be given none
         parser.error(f"no part is called {', '.join(sorted(unknown))}; choose from {', '.join(PARTS)}")

@@ -37,14 +37,7 @@ def fly(source: Source, settings: Settings) -> Flown:
     stages = settings.stages(source.imu_noise)
     lane, out = FilterLane(source.rig, stages), Flown(source.rig)
     for event in source.events():
-        batch = lane.batcher.take(event)
-        if batch is None:
-            continue
-        lane.take_rows(batch)
-        tracked = lane.tracking.track(batch)
-        if tracked is None:
-            continue
-        navigation = lane.update(tracked)
+        navigation = lane.feed(event)
         if navigation is None or navigation.motion is None or navigation.posterior is None:
             continue
         out.online.append(navigation.motion)

@@ -33,7 +33,7 @@ class Scenario:
         """Run the filter on a damaged flight; the undamaged one is `Outcome.whole`."""
         f = PointFlight(seed=seed, seconds=self.length, **self.flight)  # type: ignore[arg-type]
         left = [e for e in (self.how(e, seconds(e)) for e in f.events) if e is not None]
-        estimator, motions = run(left)
+        estimator, motions = run(left, rig=f.rig)
         return Outcome(self, f, motions, estimator)
 
 
@@ -130,6 +130,22 @@ def _turned(e: Sample, t: float) -> Sample | None:
 
 def _silent(e: Sample, t: float) -> Sample | None:
     return None if isinstance(e, NavSample) and 8.0 <= t < 38.0 else e
+
+
+def without_fix(e: Sample) -> Sample:
+    """The event without position and velocity, as from an autopilot without GPS: attitude and barometer are left."""
+    if not isinstance(e, NavSample) or e.position_world is None:
+        return e
+    height = float(e.position_world[2])
+    return replace(e, position_world=None, velocity_world=None, sigma_position=None, height_world=height)
+
+
+def led_away(e: Sample, t: float, speed: float = 1.0) -> Sample:
+    """The event `t` s after GPS began to be led away: position and velocity drift east at `speed` m/s."""
+    if not isinstance(e, NavSample) or e.position_world is None or t < 0.0:
+        return e
+    v, by = np.array([speed, 0.0, 0.0]), e.velocity_world
+    return replace(e, position_world=e.position_world + t * v, velocity_world=None if by is None else by + v)
 
 
 def _as_is(e: Sample, t: float) -> Sample | None:

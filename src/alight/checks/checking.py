@@ -10,17 +10,24 @@ from alight.checks.motion import check_motion
 from alight.checks.navigation import check_navigation
 from alight.checks.pictures import check_exposure, check_intrinsics, check_lens, check_sharpness
 from alight.checks.result import CheckResult, Judged, unknown
+from alight.checks.sight import SightCheck
 from alight.checks.stamps import check_frames, check_rows
 from alight.checks.stereo import check_stereo
+from alight.settings import Settings
 from alight.sources import Source
 
 
 def check_source(
-    source: Source, seconds: float = 10.0, start: float = 0.0, progress: Callable[[float], None] = lambda share: None
+    source: Source,
+    settings: Settings,
+    seconds: float = 10.0,
+    start: float = 0.0,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> list[CheckResult]:
     """Check the rig of a flight log or a recording and return the result of each check.
 
     Args:
+        settings: settings of the planned run.
         seconds: length of the part that is read.
         start: begin of that part, s from the first exposure.
         progress: called with the share that is done.
@@ -28,11 +35,12 @@ def check_source(
     Raises:
         InputError: there is no exposure in that part of the recording.
     """
-    events = source.events()
-    found = gather_evidence(source.rig, events, seconds, start, progress)
+    sight = SightCheck(source.rig, settings.stages(source.imu_noise), seconds, start)
+    found = gather_evidence(source.rig, sight.watch(source.events()), seconds, start, progress)
     promised = tuple(name for key, name in (("nav", "GPS/INS"), ("imu", "IMU")) if source.notes.get(key))
     ahead = -((source.notes.get("timeshift_cam_imu") or [0.0])[0] or 0.0)
-    return check_evidence(replace(found, warnings=tuple(source.warnings), promised=promised, ahead=ahead))
+    results = check_evidence(replace(found, warnings=tuple(source.warnings), promised=promised, ahead=ahead))
+    return [*results, sight.result]
 
 
 def check_evidence(evidence: RigEvidence) -> list[CheckResult]:

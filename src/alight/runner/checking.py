@@ -35,4 +35,4 @@ def check_opened(
         return check_photos(cast(Photos, source), settings, progress)
     from alight.checks.checking import check_source
 
-    return check_source(source, seconds, start, progress)
+    return check_source(source, settings, seconds, start, progress)

@@ -36,7 +36,9 @@ def _imu(message: Any) -> ImuSample:
 
 
 def _nav(tree: dict[str, Any]) -> NavSample:
-    values: dict[str, Any] = {k: None if v is None else np.array(v, np.float64) for k, v in tree.items() if k != "t_ns"}
+    values: dict[str, Any] = {
+        k: None if v is None else np.array(v, np.float64)[()] for k, v in tree.items() if k != "t_ns"
+    }
     return NavSample(int(tree["t_ns"]), **values)
 
 
@@ -69,8 +71,9 @@ def why_unusable(event: Event, rig: Rig) -> str:
         if f.name == "t_ns" or (value is None and isinstance(event, NavSample)):
             continue
         rotation, sigma = f.name == "world_from_body", f.name.startswith("sigma")
+        shape = (3, 3) if rotation else () if f.name == "height_world" else (3,)
         most = SIGMAS[1] if sigma else 1.001 if rotation else LARGEST[f.name]
-        if value is None or value.shape != ((3, 3) if rotation else (3,)) or not (np.abs(value) <= most).all():
+        if value is None or np.shape(value) != shape or not (np.abs(value) <= most).all():
             return f"{f.name} is out of range"
         if sigma and (value < SIGMAS[0]).any():
             return f"{f.name} is out of range"

@@ -12,7 +12,7 @@ from alight.records import Event, PhotoFacts, Rig, Schedule
 from alight.settings import ImuNoise, Settings
 
 LARGEST = {  # larger values mean other units, typing errors or damage
-    "height": 100_000.0, "position_world": 200_000.0, "lever arm": 1_000.0,  # m
+    "height": 100_000.0, "position_world": 200_000.0, "height_world": 200_000.0, "lever arm": 1_000.0,  # m
     "velocity_world": 3_000.0, "angular_velocity_body": 200.0, "specific_force_body": 5_000.0,  # m/s, rad/s, m/s^2
 }  # fmt: skip
 SIGMAS = (1e-6, 1e6)  # in any unit; a smaller sigma makes a matrix singular, a larger one carries no information

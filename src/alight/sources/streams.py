@@ -235,12 +235,13 @@ def _measured(values: F64, positive: bool = False) -> F64 | None:
 
 def nav_samples(table: Table, local: LocalFrame) -> Iterator[NavSample]:
     """Yield the samples of `nav0`, with positions in the world around `local`."""
-    position = local.to_enu(*table.values[:, :3].T)
-    for t, place, v in zip(table.t_ns, position, table.values, strict=True):
-        q = _measured(v[3:7])
+    places = local.to_enu(*table.values[:, :3].T)
+    for t, place, v in zip(table.t_ns, places, table.values, strict=True):
+        q, lone = _measured(v[3:7]), np.isfinite(v[2]) and not np.isfinite(v[:2]).all()
+        position, attitude, velocity = (_measured(v[a : a + 3], True) for a in (13, 16, 19))
         yield NavSample(
-            int(t), _measured(place), None if q is None else matrix_from_quaternion(q),
-            *(_measured(v[a : a + 3]) for a in (7, 10)), *(_measured(v[a : a + 3], True) for a in (13, 16, 19)),
+            int(t), _measured(place), None if q is None else matrix_from_quaternion(q), _measured(v[7:10]),
+            _measured(v[10:13]), position, attitude, velocity, float(v[2] - local.height) if lone else None,
         )  # fmt: skip
 
 

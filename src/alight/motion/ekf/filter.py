@@ -263,6 +263,7 @@ class MotionFilter:
         if m.health.on_exposure(tracks.t_ns, counts):
             self._inflate_attitude(state)
         if m.fixes.on_exposure(self._time_of(tracks)):
+            log.warning("motion: %s", m.fixes.why)
             state.anchor()
         motion = self._motion(state, tracks.t_ns, counts)
         if self._recording:

@@ -97,12 +97,12 @@ class FixWatch:
         S = S + slow[..., None] * np.eye(3)
         late = MAX_GPS_AGE * steps[..., 4:7]  # the way of a late position while the velocity changes
         S += late[..., :, None] * late[..., None, :]
-        distance = (moved[..., None, :] @ np.linalg.solve(S, moved[..., None]))[..., 0, 0]
-        steady = (moved[:, :1] * moved[:, 1:]).sum(axis=2).min(axis=1) > 0.0
-        if found := np.flatnonzero((distance > self._limit).all(axis=1) & steady).tolist():
+        mean = moved.mean(axis=1, keepdims=True)
+        distance = (mean @ np.linalg.solve(S.mean(axis=1), mean.swapaxes(1, 2)))[:, 0, 0]
+        steady = ((moved - 0.5 * mean) * mean).sum(axis=2).min(axis=1) > 0.0
+        if found := np.flatnonzero((distance > self._limit) & steady).tolist():
             self._drifted_ns = t_ns
-            whole = ends[found[-1], 0] - ends[found[-1], -1]
-            self._speed = float(np.linalg.norm(whole[1:4]) / whole[0])
+            self._speed = float(np.linalg.norm(mean[found[-1]]) / seconds[found[-1]].mean())
 
     def admit(self, t_ns: int, passed: bool, vague: bool) -> bool:
         """Return whether a position is used.

@@ -13,7 +13,7 @@ from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.imu_buffer import ImuBuffer
 from alight.pipeline.navigation import Navigation, Trajectory, sparse
 from alight.pipeline.timing import Progress
-from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
+from alight.records import Event, Frame, GpsState, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
 from alight.records.map_frame import in_world
 from alight.settings import StageSettings
 from alight.tracks import Tracker
@@ -97,7 +97,7 @@ class FilterLane:
         self._predicted_from: MotionPredictor | None = None  # predictor of the last exposure
         self._attitude = False  # whether an attitude was measured
         self._motions: deque[Motion] = deque(maxlen=self._most)
-        self._given = self._lost = 0  # numbers of exposures
+        self._given = self._lost = self._led = 0  # numbers of exposures; led: while GPS drifted
 
     def feed(self, event: Event) -> Navigation | None:
         """Process one event; return the motion and posterior of an exposure, else None."""
@@ -119,6 +119,7 @@ class FilterLane:
         self._motions.append(motion)
         self.next_frame = max(self.next_frame, motion.frame_id + 1)
         self._given, self._lost = self._given + 1, self._lost + (motion.state is MotionState.LOST)
+        self._led += motion.odometry is not None and motion.odometry.gps is GpsState.DRIFTS
         window = self._filter.clone_window()
         return Navigation(batch.frame, motion, None if window is None else window.posterior, self._attitude)
 
@@ -158,6 +159,10 @@ class FilterLane:
             out.append(_left_out(self._filter.too_late, "came late"))
         if self._lost:
             out.append(f"motion: lost in {self._lost} of {self._given} exposures, which are not used for the map")
+        if self._led:
+            out.append(
+                f"motion: GPS drifted against the pictures in {self._led} of {self._given} exposures, and is unused"
+            )
         if (state := self._filter.state) is not None and state.refused:
             out.append(f"motion: {state.refused} measurements led to no update (a singular matrix) and are left out")
         if anew := max((m.frame_id for m in motions), default=0):
