@@ -7,9 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from length import EITHER, in_turn
+from made_up_ground import Ground, clearer_from_below
 from pilot_rig import PLACE, PilotRig, flying
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from alight.flight.session.dry_run import DryRunVehicle
 from alight.records import GpsState, MotionState
 from alight.records.executive import FlightEvent, FlightState
 from alight_sim.autopilot.dialects import Doing
@@ -171,3 +173,32 @@ def test_autopilots_without_the_parameters_take_no_odometry() -> None:
     assert r.fly(S.APPROACH)
     lose_gps(r)
     assert r.run(30.0, lambda: r.doing is Doing.LAND or r.state is S.HANDED_OVER)
+
+
+def test_after_a_takeover_no_source_is_ordered() -> None:
+    """Odometry is sent on, as it moves nothing by itself."""
+    r = flying(odometry=True)
+    assert r.fly(S.APPROACH)
+    r.sim.pilot(Doing.PILOT)
+    assert r.fly(S.HANDED_OVER, 3.0)
+    lose_gps(r)
+    t = r.t
+    r.run(3.0)
+    assert sources(r) == []
+    assert r.sent_since(t, "ODOMETRY")
+    assert not r.moving_since(t)
+
+
+def test_a_dry_run_prints_the_odometry_and_each_source() -> None:
+    r = PilotRig(Ground({PLACE: clearer_from_below}).seen, odometry=True)
+    r.up_and_flying(16.0)
+    printed: list[str] = []
+    r.begin(DryRunVehicle(printed.append))
+    assert r.fly(S.APPROACH)
+    t = r.t
+    lose_gps(r)
+    r.run(1.0)
+    assert any(line.startswith("odometry, for each exposure from here on: ") for line in printed)
+    assert printed.count("source of the position: odometry") == 1
+    assert not r.sent_since(t, "ODOMETRY")
+    assert sources(r) == []

@@ -40,6 +40,7 @@ class SightNavigation:
     def __init__(self, vehicle: RemoteVehicle, commands: OdometryReceiver, note: Callable[[str, str], None]) -> None:
         self._vehicle, self._commands, self._note = vehicle, commands, note
         self.in_use = False  # whether the autopilot flies by sight
+        self.chooses = True  # whether a source may be ordered now; False: somebody else flies
         self.stays = False  # whether GPS must not be used again now
         self.delays, self._sent_ns = deque[float](maxlen=20_000), deque[int](maxlen=20_000)  # s; our clock
         self._series: tuple[int, int] | None = None  # map frame and resets, within which the pose does not jump
@@ -85,7 +86,8 @@ class SightNavigation:
             self._used_since_ns = now_ns
         if trusted and not self.in_use:
             self._last_shift, self._compared_ns = shift, motion.t_ns
-        self._choose(motion, sees, now_ns)
+        if self.chooses:
+            self._choose(motion, sees, now_ns)
         if sees and self._shift is not None:
             pose = ExternalPose(
                 motion.t_ns, here + self._shift, motion.world_from_body.rotation, motion.velocity_world,

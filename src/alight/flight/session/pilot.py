@@ -174,7 +174,7 @@ class LandingPilot:
         """Process the motion of the newest tracked exposure, which comes at `now_ns` of our clock."""
         self.inputs.add_motion(motion)
         if self.sight is not None:
-            self.sight.stays = self.state is FlightState.COMMIT
+            self.sight.chooses, self.sight.stays = self.in_control, self.state is FlightState.COMMIT
             self.sight.on_motion(motion, now_ns)
 
     def on_notice(self, notice: Notice) -> None:

@@ -346,7 +346,7 @@ def judge_odometry(sight: SightNavigation) -> CheckResult:
     """Check that odometry is sent, often enough and in time, and compare it with GPS."""
     if (rate := sight.rate) == 0.0:
         return bad("odometry", "none is sent yet", "see that the motion is known, and the clock of the autopilot")
-    late = 1e3 * float(np.percentile(sight.delays, 95))
+    late = 1e3 * float(np.percentile(tuple(sight.delays), 95))
     seen = f"{rate:.1f} a second, sent {late:.0f} ms after the exposure (95 %), {sight.deviation}"
     if rate < LEAST_RATE_OF_ODOMETRY:
         return bad("odometry", seen, f"at least {LEAST_RATE_OF_ODOMETRY:.0f} a second are needed: use a faster camera")
