@@ -134,7 +134,7 @@ def behind(delay: float) -> float:
 
 def test_ardupilot_takes_the_least_delay_for_none() -> None:
     """So its parameter must be the whole delay; else the estimate is behind by the way of that time."""
-    assert behind(100.0) < 0.25 < behind(0.0)
+    assert behind(100.0) + 0.05 < behind(0.0)
 
 
 def test_sets_of_sources_are_ardupilots() -> None:
