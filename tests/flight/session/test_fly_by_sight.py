@@ -6,13 +6,18 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from autopilot_rig import Rig
 from length import EITHER, in_turn
 from made_up_ground import Ground, clearer_from_below
 from pilot_rig import PLACE, PilotRig, flying
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from alight.checks.result import Judged
+from alight.flight.live.sight import SightNavigation
 from alight.flight.session.dry_run import DryRunVehicle
-from alight.records import GpsState, MotionState
+from alight.flight.session.preflight import judge_odometry, judge_parameters
+from alight.geometry import Pose
+from alight.records import GpsState, Motion, MotionState, Odometry
 from alight.records.executive import FlightEvent, FlightState
 from alight_sim.autopilot.dialects import Doing
 
@@ -202,3 +207,36 @@ def test_a_dry_run_prints_the_odometry_and_each_source() -> None:
     assert printed.count("source of the position: odometry") == 1
     assert not r.sent_since(t, "ODOMETRY")
     assert sources(r) == []
+
+
+# -- checks before a flight
+
+
+def test_the_parameters_of_odometry_matter_only_with_it() -> None:
+    r = Rig(odometry=True)
+    r.ready()
+    r.sim.memory.parameters |= {"EK3_SRC2_POSXY": 0, "EK3_SRC_OPTIONS": 1}
+    judge_parameters(r.vehicle, odometry=True)
+    r.run(3.0)
+    found = {c.name: c.verdict for c in judge_parameters(r.vehicle, odometry=True)}
+    assert found == {"EK3_SRC2_POSXY": Judged.BAD, "EK3_SRC_OPTIONS": Judged.BAD, "parameters": Judged.GOOD}
+    assert [c.name for c in judge_parameters(r.vehicle)] == ["parameters"]
+
+
+@pytest.mark.parametrize(
+    ("rate", "late", "verdict"),
+    [(15.0, 0.06, Judged.GOOD), (6.0, 0.06, Judged.WARNING), (15.0, 0.2, Judged.WARNING), (3.0, 0.06, Judged.BAD)],
+)
+def test_odometry_is_judged_by_its_rate_and_delay(rate: float, late: float, verdict: Judged) -> None:
+    r = Rig(odometry=True)
+    r.ready()
+    sight = SightNavigation(r.vehicle, r.vehicle, lambda lane, words: None)
+    assert judge_odometry(sight).verdict is Judged.BAD
+    odometry = Odometry(np.eye(9), np.zeros(3), 0.8)
+    for k in range(30):
+        t_ns = r.now_ns + round(k * 1e9 / rate)
+        motion = Motion(t_ns, Pose(np.eye(3), np.zeros(3)), (), np.eye(6), np.zeros(3), odometry=odometry)
+        sight.on_motion(motion, t_ns + round(late * 1e9))
+    found = judge_odometry(sight)
+    assert found.verdict is verdict
+    assert f"{rate:.1f} a second, sent {1e3 * late:.0f} ms after the exposure" in found.evidence
