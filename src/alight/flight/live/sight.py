@@ -11,7 +11,7 @@ from alight.arrays import F64
 from alight.flight.autopilot import ExternalPose, RemoteVehicle
 from alight.records import GpsState, Motion, MotionState, Notice, NoticeKind
 
-LASTING_NS = 3_000_000_000  # for which GPS must be used again by the filter, so that the two do not take turns
+LASTING_NS = 3_000_000_000  # for which the filter must use GPS again, or the pictures show no motion: no taking turns
 
 
 class OdometryReceiver(Protocol):
@@ -25,7 +25,8 @@ class SightNavigation:
     """Sends the motion of each exposure as odometry, and decides whether the autopilot flies by it or by GPS.
 
     It flies by sight as soon as the receiver has no fix, or the filter does not use its positions, if the pictures show
-    the motion. It flies by GPS again when the filter has used it for `LASTING_NS`, but not in the last metres.
+    the motion. It flies by GPS again when the filter has used it for `LASTING_NS`, but not in the last metres, or when
+    the receiver has a fix and the pictures have not shown the motion for as long.
 
     A constant shift leads from the map frame to the autopilot's local coordinates. It is made anew, and a reset is
     counted, if the pose may have jumped, and where flight by sight begins: from there the autopilot goes on without a
@@ -49,6 +50,7 @@ class SightNavigation:
         self._last_shift: F64 | None = None  # the same by the newest position that GPS has given
         self._tied_ns = self._compared_ns = 0  # exposures of the two
         self._used_since_ns: int | None = None  # since when the filter uses GPS
+        self._seen_ns = 0  # when the pictures last showed the motion
         self._ticket: int | None = None
         self._refused = False
 
@@ -80,6 +82,7 @@ class SightNavigation:
             self._tied_ns = self._compared_ns = motion.t_ns
         sees = motion.state in (MotionState.GOOD, MotionState.DEGRADED) and odometry.quality > 0
         trusted = odometry.gps in (GpsState.USED, GpsState.VAGUE) and self._vehicle.telemetry.has_fix
+        self._seen_ns = now_ns if sees else self._seen_ns
         if not trusted:
             self._used_since_ns = None
         elif self._used_since_ns is None:
@@ -124,7 +127,7 @@ class SightNavigation:
         lies = gps in (GpsState.JUMPED, GpsState.DRIFTS)
         if since is not None and now_ns - since >= LASTING_NS and not self.stays:
             self._use(False, "it flies by GPS again")
-        elif not sees and reports.has_fix and not lies:
+        elif now_ns - self._seen_ns >= LASTING_NS and reports.has_fix and not lies:
             self._use(False, "the pictures do not show the motion: it flies by GPS")
 
     def _use(self, sight: bool, words: str) -> None:
