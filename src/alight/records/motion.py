@@ -27,9 +27,9 @@ class GpsState(StrEnum):
     USED = "used"
     VAGUE = "vague"  # used, but they claim to be far less certain than the estimate
     LOST = "lost"  # none comes
-    JUMPED = "jumped"  # they are outside their gate, and not used
-    DRIFTS = "drifts"  # they drift against the pictures; neither positions nor velocities are used
-    RETURNING = "returning"  # they are back within their gate, and not used yet
+    JUMPED = "jumped"  # they are outside their gate; neither they nor velocities are used
+    DRIFTS = "drifts"  # they drift against the pictures; likewise
+    RETURNING = "returning"  # they are back within their gate, and not used yet; likewise
 
 
 @dataclass(frozen=True, eq=False)

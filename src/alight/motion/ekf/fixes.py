@@ -42,7 +42,9 @@ class FixWatch:
 
     def forget(self) -> None:
         """Forget the way flown, as the pictures do not support it any more."""
-        self._way = np.empty((0, 19))  # s, position less estimate (3), velocity (3), slow variance (3), P of velocity
+        # s, position less estimate without aid (3), velocity (3), slow variance (3), its correction (3), P of velocity
+        self._way = np.empty((0, 22))
+        self._moved, self._sped = np.zeros(3), np.zeros(3)  # m, m/s, sums of the corrections by GPS/INS
         self._drifted_ns = NEVER_NS
 
     @property
@@ -81,8 +83,10 @@ class FixWatch:
             velocity, covariance: (3,) m/s and (3, 3), as estimated.
             sigma: (3,) m, claimed for the position.
         """
+        t = t_ns * 1e-9
+        self._moved = self._moved + (self._sped * (t - self._way[-1, 0]) if len(self._way) else 0.0)
         slow = np.maximum(sigma, self._white) ** 2
-        row = np.concatenate([[t_ns * 1e-9], off, velocity, slow, covariance.ravel()])
+        row = np.concatenate([[t], off + self._moved, velocity, slow, self._sped, covariance.ravel()])
         kept = self._way[self._way[:, 0] >= row[0] - MAX_GPS_REJECTION]
         self._way = way = np.concatenate([kept, row[None]])
         longest = (len(way) - 1) // MAX_REJECTIONS
@@ -91,9 +95,10 @@ class FixWatch:
         k = np.arange(1, longest + 1)[:, None] * np.arange(MAX_REJECTIONS + 1)  # rows back of the ends of the windows
         ends = way[-1 - k]
         steps = ends[:, :-1] - ends[:, 1:]  # (N, 3 windows, 19), the newest first
-        seconds, moved = steps[..., 0], steps[..., 1:4]
+        seconds = steps[..., 0]
+        moved = steps[..., 1:4] - ends[:, -1:, 10:13] * seconds[..., None]
         slow = 2.0 * ends[:, :-1, 7:10] * -np.expm1(-seconds / self._tau)[..., None] + 2.0 * self._white**2
-        S = ends[:, :-1, 10:].reshape(*seconds.shape, 3, 3) * seconds[..., None, None] ** 2
+        S = ends[:, :-1, 13:].reshape(*seconds.shape, 3, 3) * seconds[..., None, None] ** 2
         S = S + slow[..., None] * np.eye(3)
         late = MAX_GPS_AGE * steps[..., 4:7]  # the way of a late position while the velocity changes
         S += late[..., :, None] * late[..., None, :]
@@ -103,6 +108,10 @@ class FixWatch:
         if found := np.flatnonzero((distance > self._limit) & steady).tolist():
             self._drifted_ns = t_ns
             self._speed = float(np.linalg.norm(mean[found[-1]]) / seconds[found[-1]].mean())
+
+    def corrected(self, by_position: F64, by_velocity: F64) -> None:
+        """Note by how much a row of GPS/INS corrected position (3,) and velocity (3,): the pictures did not show it."""
+        self._moved, self._sped = self._moved + by_position, self._sped + by_velocity
 
     def admit(self, t_ns: int, passed: bool, vague: bool) -> bool:
         """Return whether a position is used.

@@ -53,14 +53,18 @@ class NavUpdate:
             else:
                 fixes.forget()
             if not fixes.admit(sample.t_ns, passed, self._is_vague(state, sigma)):
-                used -= {Quantity.POSITION, Quantity.VELOCITY} if fixes.drifts else {Quantity.POSITION}
+                # a velocity would correct the heading, and with it the whole way since the loss: a jump
+                used -= {Quantity.POSITION} if fixes.aided else {Quantity.POSITION, Quantity.VELOCITY}
             if fixes.aided is not aided:
                 log.warning("motion: %s", fixes.why or "GPS agrees with the pictures again and is used")
                 state.anchor()
                 HP = (H @ state.P[:CORE]) * unit[:, None]
         if used:
             kept = np.repeat([z.quantity in used for z in rows], [len(z.H) for z in rows])
+            before = state.core.copy()
             state.correct_by(residual[kept], HP[kept], np.ascontiguousarray(S[kept][:, kept]))
+            by = state.core - before
+            fixes.corrected(by[AT.pos], by[AT.vel])
         waits = position is None or (fixes.state is GpsState.RETURNING)
         rejected = health.on_gps(
             sample.t_ns, None if waits else Quantity.POSITION in used, bool(used - {Quantity.POSITION})
