@@ -92,7 +92,7 @@ def test_a_source_that_is_refused_is_not_used() -> None:
     lose_gps(r)
     r.run(2.0)
     assert not r.telemetry.by_sight
-    assert any("it does not fly by sight: source set 2: denied" in line for line in r.orders)
+    assert any("it does not fly by sight any more: source set 2: denied" in line for line in r.orders)
     assert r.run(10.0, lambda: r.state is S.HOLD)
 
 

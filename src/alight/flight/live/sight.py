@@ -101,14 +101,12 @@ class SightNavigation:
                 self._sent_ns.append(now_ns)
 
     def on_notice(self, notice: Notice) -> None:
-        """Process a notice of the autopilot: a source that is refused is not ordered again."""
+        """Process a notice of the autopilot: after a refusal GPS is ordered once more, and sight no more."""
         if notice.kind is not NoticeKind.COMMAND or notice.ticket != self._ticket or notice.ok:
             return
-        self._ticket, self._refused = None, True
-        if self.in_use:
-            self.in_use = False
-            self._commands.fly_by_sight(False)
-        self._note("autopilot", f"it does not fly by sight: {notice.text}")
+        self._note("autopilot", f"it does not fly by sight any more: {notice.text}")
+        self._ticket = None if self._refused else self._commands.fly_by_sight(False)
+        self.in_use, self._refused = False, True
 
     def _tie(self, shift: F64 | None) -> None:
         self._shift = shift

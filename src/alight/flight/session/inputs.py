@@ -14,7 +14,7 @@ from alight.flight.autopilot import RemoteVehicle, on_plane
 from alight.flight.session.wind import WindWatch
 from alight.geometry import LocalFrame
 from alight.pipeline import Verdict
-from alight.records import FlightMode, Frame, Motion, MotionState, Telemetry
+from alight.records import FlightMode, Frame, Motion, MotionState, PlaceSigma, Telemetry
 from alight.records.executive import MapVerdict, SightQuality, Situation
 
 WIND_KNOWN = 2.0  # m/s, 1-sigma up to which an estimated wind is used
@@ -224,5 +224,5 @@ def _sight(motion: Motion | None) -> SightQuality:
     if motion is None or motion.odometry is None:
         return SightQuality(math.inf, math.inf, False)
     P, known = motion.odometry.covariance, motion.state in (MotionState.GOOD, MotionState.DEGRADED)
-    position, velocity = (math.sqrt(float(np.linalg.eigvalsh(P[k : k + 2, k : k + 2])[-1])) for k in (0, 6))
+    position, velocity = (PlaceSigma.of(P[k : k + 3, k : k + 3]).horizontal for k in (0, 6))
     return SightQuality(position, velocity, known and motion.odometry.quality > 0)
