@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from autopilot_rig import Rig
+from autopilot_rig import LOCAL, Rig
 from length import EITHER, in_turn
 from made_up_ground import Ground, clearer_from_below
 from pilot_rig import PLACE, PilotRig, flying
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from session_rig import Clock
 
 from alight.checks.result import Judged
 from alight.flight.live.sight import SightNavigation
+from alight.flight.session import flight
 from alight.flight.session.dry_run import DryRunVehicle
+from alight.flight.session.pilot import SessionLog
 from alight.flight.session.preflight import judge_odometry, judge_parameters
 from alight.geometry import Pose
 from alight.records import GpsState, Motion, MotionState, Odometry
 from alight.records.executive import FlightEvent, FlightState
+from alight.settings import Settings
 from alight_sim.autopilot.dialects import Doing
 
 S, E = FlightState, FlightEvent
@@ -240,3 +248,33 @@ def test_odometry_is_judged_by_its_rate_and_delay(rate: float, late: float, verd
     found = judge_odometry(sight)
     assert found.verdict is verdict
     assert f"{rate:.1f} a second, sent {1e3 * late:.0f} ms after the exposure" in found.evidence
+
+
+# -- the session
+
+
+@pytest.mark.parametrize("odometry", [False, True])
+def test_the_session_sends_the_motion_of_each_exposure(odometry: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    r = PilotRig(Ground({}).seen, odometry=True)
+    r.up_and_flying(16.0)
+    made: dict[str, Any] = {}
+    run = SimpleNamespace(recorder=None)
+    monkeypatch.setattr(flight, "LiveRun", lambda *a: made.update(listener=a[2]) or run)
+    monkeypatch.setattr(flight, "CalibratedFolder", SimpleNamespace)
+    opened: Any = SimpleNamespace(source=SimpleNamespace(locate=lambda local: None), events=iter(()))
+    feed: Any = SimpleNamespace(
+        lock=nullcontext(), autopilot=r.ours, flush=lambda: None, events=lambda: iter(()),
+        events_of=SimpleNamespace(local=LOCAL),
+    )  # fmt: skip
+    plan = flight.FlightRequest("udp:x", "camera:0", Path("out"), Settings(), odometry=odometry)
+    checks = flight.FlightChecks(plan, feed, [])
+    monkeypatch.setattr(flight, "time", Clock(r))
+    session = flight.open_session(plan, opened, feed, checks, SessionLog(r.orders.append), lambda status: None)
+    t, facts = r.t, Odometry(np.eye(9), np.zeros(3), 0.8)
+    pose = Pose(np.eye(3), np.zeros(3))
+    made["listener"].motion(Motion(r.now_ns, pose, (), np.eye(6), np.zeros(3), odometry=facts))
+    r.run(0.2)
+    assert len(r.sent_since(t - 0.1, "ODOMETRY")) == int(odometry)
+    assert session.pilot.inputs.motion is not None
+    assert checks.sight is session.pilot.sight
+    assert (checks.sight is not None) is odometry
