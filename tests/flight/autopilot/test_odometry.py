@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from alight.flight.autopilot import ExternalPose
 from alight.geometry import so3_exp
+from alight.records import NavSample
 
 UP, EAST, NORTH = np.eye(3)[2], np.eye(3)[0], np.eye(3)[1]
 
@@ -121,3 +122,28 @@ def test_its_local_position_is_known_where_it_is_requested() -> None:
     place = r.vehicle.odometry.place_at(r.now_ns)
     assert place is not None
     assert_allclose(place, LOCAL.to_enu(*LOCAL.to_geodetic(r.truth())), atol=0.3)
+
+
+def test_by_sight_its_position_does_not_come_back_as_a_measurement() -> None:
+    """Its estimate is then ours. What is measured is the receiver's position, the height, and the attitude."""
+    r = Rig(odometry=True)
+    r.up_and_flying(10.0)
+    r.answered(r.vehicle.fly_by_sight(True) or 0)
+    r.run(1.0)
+    r.samples.clear()
+    r.run(2.0)
+    rows = [s for s in r.samples if isinstance(s, NavSample)]
+    solution = [s for s in rows if s.world_from_body is not None]
+    received = [s for s in rows if s.position_world is not None]
+    assert len(solution) + len(received) == len(rows)
+    assert len(solution) > 10
+    assert all(s.velocity_world is None and s.position_world is None for s in solution)
+    assert_allclose([s.height_world for s in solution], r.truth()[2], atol=0.2)
+    assert len(received) > 5
+    assert_allclose([s.position_world for s in received], [r.truth()] * len(received), atol=0.2)
+    assert all(s.velocity_world is None and s.sigma_position is not None for s in received)
+    r.sim.estimate.receives = False
+    r.run(1.0)
+    r.samples.clear()
+    r.run(1.0)
+    assert not [s for s in r.samples if isinstance(s, NavSample) and s.position_world is not None]
