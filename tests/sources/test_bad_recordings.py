@@ -60,6 +60,12 @@ def test_a_whole_one_is_replayed(record: Callable[..., Path], capsys: pytest.Cap
     assert "left out" not in err
 
 
+def test_a_height_without_position_is_kept(record: Callable[..., Path]) -> None:
+    source = open_source(record(of_kind(NavSample, position_world=None, height_world=31.5)), Settings())
+    rows = [e for e in source.events() if isinstance(e, NavSample)]
+    assert {(r.position_world, r.height_world) for r in rows} == {(None, 31.5)}
+
+
 @pytest.mark.parametrize(
     ("change", "why"),
     [
@@ -67,6 +73,7 @@ def test_a_whole_one_is_replayed(record: Callable[..., Path], capsys: pytest.Cap
         (of_kind(NavSample, position_world=np.zeros(2)), "position_world is out of range"),
         (of_kind(NavSample, velocity_world=np.full(3, np.nan)), "velocity_world is out of range"),
         (of_kind(NavSample, world_from_body=np.ones((3, 3))), "no rotation"),
+        (of_kind(NavSample, height_world=1e300), "height_world is out of range"),
         (of_kind(NavSample, sigma_position=np.full(3, 1e-300)), "sigma_position is out of range"),
         (of_kind(ImuSample, specific_force_body=np.full(3, 1e200)), "specific_force_body is out of range"),
         (of_kind(ImuSample, angular_velocity_body=np.full(3, np.nan)), "angular_velocity_body is out of range"),

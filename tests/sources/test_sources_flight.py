@@ -14,12 +14,13 @@ import pytest
 import yaml
 from PIL import Image
 
+from alight.geometry import LocalFrame
 from alight.records import Event, Frame, ImuSample, InputError, NavSample
 from alight.runner.opening import open_source
 from alight.settings import Settings, load_settings
 from alight.sources import Source
 from alight.sources.flight_log import group_exposures
-from alight.sources.streams import rising
+from alight.sources.streams import Table, nav_samples, rising
 
 
 def opened(path: Path, *assignments: str) -> Source:
@@ -41,6 +42,15 @@ def test_healthy_flight(flight: Path) -> None:
     assert source.counts["cam0 images"] == source.counts["exposures"] == 6
     at_start = [type(e) for e in events if e.t_ns == d.T0]
     assert at_start == [NavSample, ImuSample, Frame]  # samples at a frame's time come before the frame
+
+
+def test_a_height_alone_is_that_of_a_barometer() -> None:
+    rows = np.full((2, 22), np.nan)
+    rows[0, :3], rows[1, 2] = (47.0, 13.0, 530.0), 540.0
+    placed, alone = nav_samples(Table(np.array([1, 2]), rows, [2, 3]), LocalFrame(47.0, 13.0, 512.0))
+    assert placed.height_world is None
+    assert placed.position_world is not None
+    assert (alone.position_world, alone.height_world) == (None, 28.0)
 
 
 def test_numbers_of_a_healthy_flight(flight: Path) -> None:

@@ -42,8 +42,8 @@ class FixWatch:
 
     def forget(self) -> None:
         """Forget the way flown, as the pictures do not support it any more."""
-        # s, position less estimate without aid (3), velocity (3), slow variance (3), its correction (3), P of velocity
-        self._way = np.empty((0, 22))
+        # s, position less estimate (3), velocity (3), slow variance (3), sums of corrections (6), P of velocity
+        self._way = np.empty((0, 25))
         self._moved, self._sped = np.zeros(3), np.zeros(3)  # m, m/s, sums of the corrections by GPS/INS
         self._drifted_ns = NEVER_NS
 
@@ -86,7 +86,7 @@ class FixWatch:
         t = t_ns * 1e-9
         self._moved = self._moved + (self._sped * (t - self._way[-1, 0]) if len(self._way) else 0.0)
         slow = np.maximum(sigma, self._white) ** 2
-        row = np.concatenate([[t], off + self._moved, velocity, slow, self._sped, covariance.ravel()])
+        row = np.concatenate([[t], off, velocity, slow, self._moved, self._sped, covariance.ravel()])
         kept = self._way[self._way[:, 0] >= row[0] - MAX_GPS_REJECTION]
         self._way = way = np.concatenate([kept, row[None]])
         longest = (len(way) - 1) // MAX_REJECTIONS
@@ -94,17 +94,18 @@ class FixWatch:
             return
         k = np.arange(1, longest + 1)[:, None] * np.arange(MAX_REJECTIONS + 1)  # rows back of the ends of the windows
         ends = way[-1 - k]
-        steps = ends[:, :-1] - ends[:, 1:]  # (N, 3 windows, 19), the newest first
+        steps = ends[:, :-1] - ends[:, 1:]  # (N, 3 windows, 25), the newest first
         seconds = steps[..., 0]
-        moved = steps[..., 1:4] - ends[:, -1:, 10:13] * seconds[..., None]
+        aided = steps[..., 1:4]  # the estimate follows the positions; not so without the corrections since the start
+        moved = aided + steps[..., 10:13] - ends[:, -1:, 13:16] * seconds[..., None]
         slow = 2.0 * ends[:, :-1, 7:10] * -np.expm1(-seconds / self._tau)[..., None] + 2.0 * self._white**2
-        S = ends[:, :-1, 13:].reshape(*seconds.shape, 3, 3) * seconds[..., None, None] ** 2
+        S = ends[:, -1:, 16:].reshape(-1, 1, 3, 3) * seconds[..., None, None] ** 2  # as it was before the corrections
         S = S + slow[..., None] * np.eye(3)
         late = MAX_GPS_AGE * steps[..., 4:7]  # the way of a late position while the velocity changes
         S += late[..., :, None] * late[..., None, :]
         mean = moved.mean(axis=1, keepdims=True)
         distance = (mean @ np.linalg.solve(S.mean(axis=1), mean.swapaxes(1, 2)))[:, 0, 0]
-        steady = ((moved - 0.5 * mean) * mean).sum(axis=2).min(axis=1) > 0.0
+        steady = ((aided - 0.5 * mean) * mean).sum(axis=2).min(axis=1) > 0.0
         if found := np.flatnonzero((distance > self._limit) & steady).tolist():
             self._drifted_ns = t_ns
             self._speed = float(np.linalg.norm(mean[found[-1]]) / seconds[found[-1]].mean())
