@@ -9,6 +9,7 @@ from pathlib import Path
 from alight.records import Event, Frame, OutputError, Rig
 from alight_sim.autopilot import DIALECTS, EstimateError, SimulatedAutopilot, SimulatedHome, UdpServer
 from alight_sim.autopilot.dialects import Doing
+from alight_sim.autopilot.memory import EXTERNAL_NAVIGATION
 from alight_sim.log import encode_image, write_calibration
 from alight_sim.steered import SteeredFlight
 
@@ -67,6 +68,7 @@ class Rehearsal:
         home = SimulatedHome.at(local)
         dialect = DIALECTS["px4" if px4 else "ardupilot"]
         self.autopilot = SimulatedAutopilot(dialect, flight, home, EstimateError(wrong, walk=0.05))
+        self.autopilot.memory.parameters |= EXTERNAL_NAVIGATION[dialect.firmware]
         if flight.height_above_ground > 1.0:
             self.autopilot.hover(Doing.PILOT)
         self._cameras, self._shift_ns = CameraFolder(folder, flight.rig, flight.rate_hz), 0

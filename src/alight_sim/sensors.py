@@ -21,11 +21,12 @@ Triple = tuple[float, float, float]
 
 
 class Jump(Section):
-    """A step of the position for some time, as by a wrong satellite or a changed solution."""
+    """A step of the position for some time, as by a wrong satellite, or a position that is led away."""
 
     at: float = Field(description="s after the first exposure")
     seconds: float | None = Field(None, gt=0, description="s that it lasts; to the end without it")
     offset: Triple = Field(description="metres east, north, up")
+    speed: Triple = Field((0.0, 0.0, 0.0), description="m/s east, north, up by which the offset grows; velocities too")
 
 
 class Outage(Span):
@@ -141,13 +142,13 @@ class NavStream:
         `true`: motion `errors.latency` seconds earlier.
         """
         e = self.errors
-        jump = self._jump(seconds)
+        jump, led = self._jump(seconds)
         drift = self._drift.at(seconds)
         self.offset = drift + jump
         position = drift + (e.position_white * self._white.standard_normal(3) + jump) + true.position_world
         attitude = self._turn.at(seconds) + math.radians(e.attitude_white_deg) * self._turn_white.standard_normal(3)
         self.attitude_error = attitude
-        self.velocity_error = self._wind.at(seconds) + e.velocity_white * self._speed.standard_normal(3)
+        self.velocity_error = led + self._wind.at(seconds) + e.velocity_white * self._speed.standard_normal(3)
         rates = true.angular_velocity_body + math.radians(e.rate_white_deg) * self._rate.standard_normal(3)
         if self._gone("rows", seconds):
             return None
@@ -164,12 +165,14 @@ class NavStream:
             self._sigma_velocity,
         )
 
-    def _jump(self, seconds: float) -> F64:
-        out = np.zeros(3)
+    def _jump(self, seconds: float) -> tuple[F64, F64]:
+        """Return the offset of the positions, (3,) metres, and of the velocities, (3,) m/s, by the present jumps."""
+        out, led = np.zeros(3), np.zeros(3)
         for jump in self.errors.jumps:
             if jump.at <= seconds < (math.inf if jump.seconds is None else jump.at + jump.seconds):
-                out += jump.offset
-        return out
+                out += jump.offset + (seconds - jump.at) * np.array(jump.speed)
+                led += jump.speed
+        return out, led
 
     def heading_error(self, seconds: float) -> F64:
         """Return the heading error at a time (s) as a rotation (3, 3) in the world."""

@@ -15,6 +15,7 @@ from alight.geometry import LocalFrame
 from alight.records import FlightMode, Notice, NoticeKind, Telemetry
 from alight.records.telemetry import FirmwareName
 from alight_sim.autopilot import DIALECTS, LossyChannel, SimulatedAutopilot, SimulatedHome
+from alight_sim.autopilot.memory import EXTERNAL_NAVIGATION
 
 START = 1_700_000_000.0  # s, of our clock: nothing may depend on where it starts
 HOME = SimulatedHome()
@@ -26,10 +27,14 @@ class Rig:
 
     def __init__(
         self, dialect: FirmwareName = "ardupilot", seed: int = 0, link: dict[str, float] | None = None,
-        step: float = 0.05, rates: dict[str, float] | None = None, key: bytes | None = None, **simulated: Any,
+        step: float = 0.05, rates: dict[str, float] | None = None, key: bytes | None = None, odometry: bool = False,
+        **simulated: Any,
     ) -> None:  # fmt: skip
         self.sim = SimulatedAutopilot(DIALECTS[dialect], key=key, **simulated)
-        self.ours = Autopilot(rates, TelemetryEvents(LOCAL), key=None if key is None else SigningKey(key, 0))
+        if odometry:
+            self.sim.memory.parameters |= EXTERNAL_NAVIGATION[dialect]
+        signing = None if key is None else SigningKey(key, 0)
+        self.ours = Autopilot(rates, TelemetryEvents(LOCAL), key=signing, odometry=odometry)
         self.up = LossyChannel(seed=seed, **(link or {}))
         self.down = LossyChannel(seed=seed + 1, **(link or {}))
         self.t, self.dt = START, step

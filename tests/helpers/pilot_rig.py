@@ -11,13 +11,14 @@ from autopilot_rig import LOCAL, Rig
 from made_up_ground import Ground, clearer_from_below
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from alight.flight.live.sight import SightNavigation
 from alight.flight.session.dry_run import VehicleCommands
 from alight.flight.session.pilot import LandingLog, LandingPilot, PilotView
 from alight.flight.session.take_off import TakeOff
 from alight.geometry import Pose
 from alight.pipeline import FlightPolicy
 from alight.pipeline.navigation import Navigation
-from alight.records import NO_ZONES, Frame, Motion, MotionState
+from alight.records import NO_ZONES, Frame, GpsState, Motion, MotionState, Odometry
 from alight.records.executive import FlightEvent, FlightState, LookRecord, MapVerdict, Order, Situation, Transition
 from alight.records.telemetry import FirmwareName
 from alight.settings import load_settings
@@ -29,7 +30,7 @@ WRONG = (3.0, -2.0, 1.0)  # m, error of the autopilot's estimate
 LATE = 0.15  # s from an exposure to its motion
 VERDICT = 0.4  # s from an exposure to its verdict
 EXPOSURE = 0.2  # s between two exposures
-HARMLESS = {"HEARTBEAT", "TIMESYNC"}
+HARMLESS = {"HEARTBEAT", "TIMESYNC", "ODOMETRY"}
 SET_MESSAGE_INTERVAL = 511
 LATER = 1_000  # ns from the newest message to the tick that uses it: no heartbeat is of this very instant
 
@@ -60,9 +61,11 @@ class PilotRig(Rig, LandingLog):
         **more: Any,
     ) -> None:  # fmt: skip
         # it leans in 0.1 s, as a real one: over a slow link targets are turned by the attitude of another moment
+        self.odometry = bool(more.pop("odometry", False))  # whether it sends odometry
         limits = PX4_CONTROLLER if dialect == "px4" else FlightLimits(lag=0.1)
         more = {"vehicle": PointMass(limits), **more}
-        super().__init__(dialect, step=step, estimate=EstimateError(WRONG), **more)
+        super().__init__(dialect, step=step, estimate=EstimateError(WRONG), odometry=self.odometry, **more)
+        self.gps, self.quality, self.drift = GpsState.USED, 1.0, np.zeros(3)  # of the filter; metres, of its position
         self.see, self.settings = see, load_settings("", ["executive.search_side=60", *settings])
         self._pilot: LandingPilot | None = None
         self.zones = NO_ZONES
@@ -111,6 +114,8 @@ class PilotRig(Rig, LandingLog):
         self._pilot = LandingPilot(
             self.settings, LOCAL, self.vehicle, commands or self.vehicle, self.policy, self, self.zones
         )
+        if self.odometry:
+            self.pilot.sight = SightNavigation(self.vehicle, commands or self.vehicle, self.note)
         self._expose()
         self.run(1.0)
         self._begun = self.t
@@ -200,9 +205,13 @@ class PilotRig(Rig, LandingLog):
             self._image = self._image + np.uint8(1)
         frame = Frame(self.now_ns, (self._image,))
         self.pilot.inputs.add_frame(frame, self.now_ns)
-        pose = Pose(np.eye(3), self.truth())
-        motion = Motion(self.now_ns, pose, (), np.eye(6), state=self.motion_state, frame_id=self.frame_id)
-        self._later.append((self.t + LATE, lambda: self.pilot.inputs.add_motion(motion)))
+        pose = Pose(np.eye(3), self.truth() + self.drift)
+        odometry = Odometry(0.01 * np.eye(9), np.zeros(3), self.quality, 0, self.gps) if self.odometry else None
+        motion = Motion(
+            self.now_ns, pose, (), np.eye(6), self.sim.vehicle.body.velocity, self.motion_state,
+            frame_id=self.frame_id, odometry=odometry,
+        )  # fmt: skip
+        self._later.append((self.t + LATE, lambda: self.pilot.on_motion(motion, self.now_ns)))
         if self.policy.due_verdict(Navigation(frame, motion), 0, self.judges):
             self._judge()
 

@@ -36,6 +36,10 @@ class FlightOptions(options.ShownOptions, options.RouteOptions):
         Path | None,
         typer.Option(metavar="FILE", help="Passphrase of MAVLink 2 signing; unsigned messages are dropped."),
     ] = None
+    odometry: Annotated[
+        bool,
+        typer.Option("--odometry", help="Send the motion as ODOMETRY; where GPS fails, the autopilot flies by it."),
+    ] = False
     zones: options.Zones = None
     record: Annotated[
         bool, typer.Option("--record/--no-record", help="Record everything that comes in, and what is done, as MCAP.")
@@ -98,19 +102,21 @@ def live(o: LiveOptions) -> None:
     wanted = wanted_home(o.home, o.geoid)
     if o.signing_key is not None and o.telemetry is None:
         raise InputError("--signing-key: signs the link of --telemetry; give both or leave it out")
+    if o.odometry and o.telemetry is None:
+        raise InputError("--odometry: is sent over the link of --telemetry; give both or leave it out")
     opened = open_live(o.source, chosen, o.speed, o.follow, o.rig)
     if o.telemetry is not None:
         from alight.flight.live.signing_key import read_signing_key
         from alight.flight.live.telemetry import with_telemetry
 
         key = None if o.signing_key is None else read_signing_key(o.signing_key)
-        opened = with_telemetry(opened, o.telemetry, o.separation, key)
+        opened = with_telemetry(opened, o.telemetry, o.separation, key, o.odometry)
     zones = zones_of(opened.source, chosen, o.zones)
     compile_if_cold()  # a lane cannot answer while it compiles
     inputs = [path for path in (Path(o.source), o.zones) if path is not None and path.is_file()]
     request = LiveRequest(o.out, chosen, o.record, opened.real_time, o.force, inputs, zones)
     with live_table() as show:
-        result = fly_live(opened.source, opened.events, request, lambda line: show((), [line]))
+        result = fly_live(opened.source, opened.events, request, lambda line: show((), [line]), opened.on_motion)
     save_result(with_home(result, flown_home(wanted, opened.telemetry(), o.separation)), o.out, o.force)
     o.show(o.out)
 
@@ -165,7 +171,7 @@ def fly(o: FlyOptions) -> None:
     request = FlightRequest(
         o.link, o.camera, o.out, chosen, o.rig, o.dry_run, wanted_home(o.home, o.geoid), o.separation, o.take_off,
         o.imu, o.signing_key, o.record, o.force, () if o.sites is None else read_sites(o.sites),
-        None if o.zones is None else read_zones(o.zones),
+        None if o.zones is None else read_zones(o.zones), o.odometry,
     )  # fmt: skip
     outcome = _flown(request)
     for check in outcome.checks:

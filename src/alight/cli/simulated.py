@@ -307,6 +307,10 @@ class CampaignOptions(options.SettingsOptions):
         float, typer.Option(min=0.0, max=1.0, help="Share of the landings with a takeover, a lost link, refused modes.")
     ] = 0.0
     autopilot: options.Firmware = "ardupilot"
+    odometry: Annotated[
+        bool,
+        typer.Option("--odometry", help="Send odometry, and let GPS fail in every landing instead of other parts."),
+    ] = False
     compare: Annotated[Path | None, typer.Option(metavar="OTHER", help="Another campaign, for a table of both.")] = None
 
 
@@ -325,8 +329,16 @@ def campaign(o: CampaignOptions) -> None:
         raise InputError(f"--world {wrong[0]}: {FORM}")
     if named := [*(o.scenes or []), *(o.worlds or [])]:
         wanted = runner.wanted_landings(o.out, o.landings)
-        planned = runner.Campaign(named, wanted, o.seed or 0, chosen, o.link_faults, o.autopilot)
-    elif o.settings or o.assign or looks or o.seed is not None or o.link_faults or o.autopilot != "ardupilot":
+        planned = runner.Campaign(named, wanted, o.seed or 0, chosen, o.link_faults, o.autopilot, o.odometry)
+    elif (
+        o.settings
+        or o.assign
+        or looks
+        or o.seed is not None
+        or o.link_faults
+        or o.odometry
+        or o.autopilot != "ardupilot"
+    ):
         raise InputError("name SCENES or --world beside the options of a new campaign; without, OUT's own are used")
     else:
         planned = runner.continued(o.out, o.landings)

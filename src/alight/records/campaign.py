@@ -64,6 +64,7 @@ class Conditions(_Line):
     light: LightRecord | None = None  # None: the light of the world
     faults: tuple[FaultRecord, ...] = ()
     firmware: FirmwareName = "ardupilot"  # of the simulated autopilot
+    odometry: bool = False  # whether odometry is sent
 
     @property
     def wind_speed(self) -> float:
@@ -182,17 +183,23 @@ class CampaignHead(_Line):
     settings: dict[str, Any]  # all settings of the landings
     link_faults: float = Field(0.0, ge=0, le=1)  # share of the landings with a fault of the link or the autopilot
     firmware: FirmwareName = "ardupilot"  # of the simulated autopilot
+    odometry: bool = False  # whether odometry is sent, and GPS fails in each landing
     sources: str = ""  # digest of the program; empty: unknown
     files: dict[str, str] = {}  # digests of scene files, their rasters, modules of worlds, the model of appearance
+
+    @property
+    def _link(self) -> tuple[float, str, bool]:
+        return self.link_faults, self.firmware, self.odometry
 
     def differing(self, other: CampaignHead) -> str | None:
         """Return the first difference from another campaign in words; None if both are the same campaign."""
         changed = [name for name in self.files if other.files.get(name, self.files[name]) != self.files[name]]
-        link = f"a {self.firmware} autopilot and a share of {self.link_faults:g} of link faults"
+        link = f"a {self.firmware} autopilot, {'' if self.odometry else 'no '}odometry and a share of "
+        link += f"{self.link_faults:g} of link faults"
         differences = {
             f"seed {self.seed}": self.seed != other.seed,
             f"the scenes {' '.join(self.scenes)}": self.scenes != other.scenes,
-            link: (self.link_faults, self.firmware) != (other.link_faults, other.firmware),
+            link: self._link != other._link,
             f"version {self.alight} of Alight": self.alight != other.alight,
             "other settings": self.settings != other.settings,
             "another state of Alight's sources": bool(self.sources and other.sources) and self.sources != other.sources,

@@ -35,6 +35,7 @@ class FlightEvent(StrEnum):
     LINK_LOST = "the autopilot is silent"
     NAVIGATION_LOST = "the motion is not known"
     CAMERA_LOST = "no pictures come"
+    GPS_LOST = "GPS is lost, and a place that was judged is near"
     RECOVERED = "motion and pictures are there again"
     WAITED = "waited too long"
     WIND = "the wind is beyond the limit"
@@ -65,6 +66,19 @@ class MapVerdict:
     ground: float  # metres up, median height of the map
 
 
+@dataclass(frozen=True)
+class SightQuality:
+    """How well the motion is known in flight by sight, without GPS."""
+
+    sigma: float  # metres, horizontal 1-sigma of the position in the map
+    speed_sigma: float  # m/s, of the velocity: the position's grows by it at most
+    sees: bool  # whether the pictures show the motion
+
+    def sigma_after(self, seconds: float) -> float:
+        """Return the 1-sigma of the position some seconds later, metres."""
+        return math.hypot(self.sigma, self.speed_sigma * seconds)
+
+
 @dataclass(frozen=True, eq=False)
 class Situation:
     """Inputs of the executive at one time."""
@@ -84,7 +98,8 @@ class Situation:
     standing: bool = False  # whether the vehicle is on the ground with motors off
     battery: float = 1.0  # remaining share; NaN: no longer reported
     wind: F64 | None = None  # (2,) or (3,) m/s, velocity of the air; None: unknown
-    holds: bool = True  # whether the autopilot has its own position, by a fix of its receiver, and can hold it
+    holds: bool = True  # whether the autopilot has its own position, by its receiver or by sight, and can hold it
+    sight: SightQuality | None = None  # of a flight by sight; None: it flies by GPS
     lands: bool = False  # whether the autopilot is in its landing mode
     steers: bool = True  # whether that mode leads to the place, else straight down
     offset: F64 | None = None  # (2,) metres, from the map frame to the plane of the autopilot's fence; None: unknown

@@ -160,6 +160,7 @@ class Telemetry:
     home: Place | None = None
     wind_world: F64 = field(default_factory=_unknown)  # (3,) m/s, velocity of the air
     battery: Battery = Battery()
+    by_sight: bool = False  # whether it was ordered to fly by our odometry, not by GPS
     ages: dict[str, float] = field(default_factory=dict)  # s since the last message of each type
 
     @property
@@ -170,11 +171,16 @@ class Telemetry:
 
     @property
     def can_hold(self) -> bool:
-        """Whether the vehicle can hold its place: it has a position, and its receiver reported a fix in the last 10 s.
+        """Whether the vehicle can hold its place: it has a position, by our odometry or by a fix in the last 10 s.
 
         After the loss of GPS, an estimator reports its position for 5 to 8 s more, but cannot keep it.
         """
-        return self.has_position and self.gps.fix >= FIX_3D and self._is_recent("GPS_RAW_INT")
+        return self.has_position and (self.by_sight or self.has_fix)
+
+    @property
+    def has_fix(self) -> bool:
+        """Whether the receiver of GPS reported a fix in the last 10 s."""
+        return self.gps.fix >= FIX_3D and self._is_recent("GPS_RAW_INT")
 
     def _is_recent(self, *messages: str) -> bool:
         return min((self.ages[name] for name in messages if name in self.ages), default=0.0) < 10.0

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from alight.records import Event, InputError, Telemetry
+from alight.records import Event, InputError, Motion, Telemetry
 from alight.settings import Settings
 from alight.sources.source import Source
 
@@ -27,6 +27,7 @@ class LiveSource:
     events: Iterator[Event]
     real_time: bool
     telemetry: Callable[[], Telemetry | None] = lambda: None  # newest of an autopilot used as GPS/INS
+    on_motion: Callable[[Motion], None] = lambda motion: None  # receives each motion; it sends odometry
 
 
 def is_cameras(name: str) -> bool:

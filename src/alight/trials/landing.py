@@ -15,6 +15,7 @@ from alight import terrain
 from alight.checks.result import Judged
 from alight.flight.autopilot import Autopilot, TelemetryEvents
 from alight.flight.executive.table import ENDS
+from alight.flight.live.sight import SightNavigation
 from alight.flight.session.pilot import LandingPilot, SessionLog
 from alight.flight.session.preflight import judge_motion
 from alight.landing.zones import MapZones
@@ -29,6 +30,7 @@ from alight.records.telemetry import FirmwareName
 from alight.settings import Settings
 from alight_sim.autopilot import DIALECTS, SimulatedAutopilot, SimulatedHome
 from alight_sim.autopilot.dialects import Doing
+from alight_sim.autopilot.memory import EXTERNAL_NAVIGATION
 from alight_sim.steered import FlownEstimate, SteeredFlight
 from alight_sim.steered.flight import IMU_RATE_HZ
 
@@ -60,6 +62,7 @@ def fly_landing(
     firmware: FirmwareName = "ardupilot",
     map_all: bool = False,
     zones: ZonesOnPlane = NO_ZONES,
+    odometry: bool = False,
 ) -> Landing:
     """Search, look, look from lower, and land or give up; return the end of the landing.
 
@@ -71,8 +74,9 @@ def fly_landing(
         firmware: firmware of the simulated autopilot.
         map_all: whether to make and judge the map of the whole flight at its end.
         zones: zones of the user, in the world of the vehicle.
+        odometry: whether odometry is sent, and the autopilot flies by it where GPS fails.
     """
-    trial = Trial(vehicle, settings, appearance, firmware, zones)
+    trial = Trial(vehicle, settings, appearance, firmware, zones, odometry=odometry)
     trial.fly(happening)
     return trial.result(map_all)
 
@@ -122,13 +126,14 @@ class Trial:
     """One landing in closed loop, step by step.
 
     Args:
-        vehicle, settings, appearance, firmware, zones: see `fly_landing`.
+        vehicle, settings, appearance, firmware, zones, odometry: see `fly_landing`.
         recorder: of the landing; None: it is not recorded.
     """
 
     def __init__(
         self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None = None,
         firmware: FirmwareName = "ardupilot", zones: ZonesOnPlane = NO_ZONES, recorder: Recorder | None = None,
+        odometry: bool = False,
     ) -> None:  # fmt: skip
         recursive = settings.parallax.model_copy(update={"method": "recursive"})
         self._vehicle, self._settings = vehicle, settings.model_copy(update={"parallax": recursive})
@@ -145,7 +150,9 @@ class Trial:
         home = SimulatedHome.at(local)
         self.autopilot = SimulatedAutopilot(DIALECTS[firmware], vehicle, home, FlownEstimate(vehicle))
         self.autopilot.hover(Doing.PILOT)
-        self._ours = Autopilot({"HIGHRES_IMU": IMU_RATE_HZ}, TelemetryEvents(local))
+        if odometry:
+            self.autopilot.memory.parameters |= EXTERNAL_NAVIGATION[firmware]
+        self._ours = Autopilot({"HIGHRES_IMU": IMU_RATE_HZ}, TelemetryEvents(local), odometry=odometry)
         self.link = TrialLink(self._ours, self.autopilot)
         while self._ours.vehicle is None:  # the autopilot sends its first heartbeat
             self.autopilot.step(STEP)
@@ -153,6 +160,8 @@ class Trial:
         self._recorder, log = recorder, SessionLog(lambda line: None)
         log.recorder = recorder
         self._pilot = LandingPilot(self._settings, local, self._ours.vehicle, self._ours.vehicle, policy, log, zones)
+        if odometry:
+            self._pilot.sight = SightNavigation(self._ours.vehicle, self._ours.vehicle, log.note)
         self._later: list[tuple[int, int, Callable[[], None]]] = []  # due, number, call
         self._start_ns = vehicle.time_ns
         self._begin_ns: int | None = None
@@ -227,7 +236,7 @@ class Trial:
         if motion is not None:
             if self._recorder is not None:
                 self._recorder.motion(motion)
-            self._after(MOTION_NS, lambda: self._pilot.inputs.add_motion(motion))
+            self._after(MOTION_NS, lambda: self._pilot.on_motion(motion, self._vehicle.time_ns))
 
     def _judged(self, verdict: Verdict, t_ns: int) -> None:
         self._verdicts += 1

@@ -25,7 +25,7 @@ class _TrackReader:
     """Makes the track of the cameras from the vehicle's telemetry."""
 
     def __init__(self, cameras: FollowedCameras) -> None:
-        self._cameras, self.starts = cameras, 1
+        self._cameras, self.starts, self.by_sight = cameras, 1, False
 
     def restart(self, starts: int) -> None:
         """Begin anew after a reboot of the autopilot, as its local frame has changed."""

@@ -28,6 +28,16 @@ PARAMETERS: Mapping[FirmwareName, Mapping[str, float]] = {
     },
 }  # fmt: skip
 
+# parameters that switch external navigation on, as the page recommends them
+EXTERNAL_NAVIGATION: Mapping[FirmwareName, Mapping[str, float]] = {
+    "ardupilot": {
+        "VISO_TYPE": 1, "VISO_DELAY_MS": 100, "VISO_POS_M_NSE": 0.2, "VISO_QUAL_MIN": 1, "EK3_SRC2_POSXY": 6,
+        "EK3_SRC2_VELXY": 6, "EK3_SRC2_POSZ": 1, "EK3_SRC2_VELZ": 0, "EK3_SRC2_YAW": 1,
+        "EK3_SRC_OPTIONS": 0,
+    },
+    "px4": {"EKF2_EV_CTRL": 5, "EKF2_EV_QMIN": 1, "EKF2_EV_DELAY": 0.0, "EKF2_HGT_REF": 0},
+}  # fmt: skip
+
 
 class MissionItem(NamedTuple):
     """One item of a fence or of the rally points."""

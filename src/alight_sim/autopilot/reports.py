@@ -98,10 +98,11 @@ def _sys_status(now: SimulatedAutopilot) -> Any:
 
 
 def _gps_raw_int(now: SimulatedAutopilot) -> Any:
-    lat, lon, msl = now.home.degrees(now.estimated)
+    lat, lon, msl = now.home.degrees(now.received)
     east, north, up = now.estimate.now.sigma
+    fix = 3 if now.fixed and (now.ready or now.estimator.by_odometry) else 1
     return mavlink.MAVLink_gps_raw_int_message(
-        round(now.boot * 1e6), 3 if now.fixed and now.ready else 1, round(lat * 1e7), round(lon * 1e7),
+        round(now.boot * 1e6), fix, round(lat * 1e7), round(lon * 1e7),
         round(msl * 1e3), 90, 130, 0, 0, 14, alt_ellipsoid=round((msl + now.home.separation) * 1e3),
         h_acc=round(1e3 * float(max(east, north))), v_acc=round(1e3 * float(up)), vel_acc=150,
     )  # fmt: skip
@@ -199,6 +200,7 @@ def _wind_cov(now: SimulatedAutopilot) -> Any:
 
 MAKERS: Mapping[str, Maker] = {
     "SYS_STATUS": _sys_status,
+    "TIMESYNC": lambda now: mavlink.MAVLink_timesync_message(0, round(now.boot * 1e9)),
     "SYSTEM_TIME": lambda now: mavlink.MAVLink_system_time_message(0, now.boot_ms),
     "GPS_RAW_INT": _gps_raw_int,
     "SCALED_IMU": _scaled_imu,

@@ -15,6 +15,7 @@ from alight.geometry import LocalFrame
 from alight.records import Event
 from alight_sim.autopilot.dialects import DIALECTS, Dialect, Doing
 from alight_sim.autopilot.estimate import Estimate, EstimateError
+from alight_sim.autopilot.estimator import Estimator
 from alight_sim.autopilot.flight_logic import FlightLogic
 from alight_sim.autopilot.memory import AutopilotMemory
 from alight_sim.autopilot.reports import Reports
@@ -122,12 +123,15 @@ class SimulatedAutopilot:
 
     def reboot(self) -> None:
         """Boot again: motors off, clock at 0, requested streams forgotten."""
-        self.boot = self.middle = 0.0  # s, its own clock; and the middle of the interval of the inertial measurements
+        self.boot: float = 0.0  # s, its own clock
+        self.middle: float = 0.0  # s, the middle of the interval of the inertial measurements
         self._refuses_until = 0.0  # s
         self.logic: FlightLogic = FlightLogic(
             self.dialect, interlock=False if self.kind == mavlink.MAV_TYPE_HELICOPTER else None
         )
         self.reports: Reports = Reports(self.dialect.lacks)
+        self.estimator: Estimator = Estimator(self.dialect, self.estimate, self.memory.parameters)
+        self._lost_for = 0.0  # s without a position
         self._mavlink.seq = 0
 
     @property
@@ -142,8 +146,8 @@ class SimulatedAutopilot:
 
     @property
     def located(self) -> bool:
-        """Whether an absolute position is known; it is kept for some time after the receiver's last position."""
-        return self.healthy and self.estimate.now.blind < self.dialect.dead_reckoning
+        """Whether an absolute position is known."""
+        return self.healthy and self.estimator.is_located(self.boot)
 
     @property
     def fixed(self) -> bool:
@@ -153,12 +157,17 @@ class SimulatedAutopilot:
     @property
     def estimated(self) -> F64:
         """Estimated position, (3,) metres from the home."""
+        return self.vehicle.body.position + self.estimator.error
+
+    @property
+    def received(self) -> F64:
+        """Position by the receiver of GPS alone, (3,) metres from the home."""
         return self.vehicle.body.position + self.estimate.now.position
 
     @property
     def velocity(self) -> F64:
         """Estimated velocity, (3,) m/s east, north, up."""
-        return self.vehicle.body.velocity + self.estimate.now.velocity
+        return self.vehicle.body.velocity + self.estimator.velocity_error
 
     @property
     def attitude(self) -> F64:
@@ -198,12 +207,21 @@ class SimulatedAutopilot:
         self.middle = self.boot + 0.5 * dt * (1 + self._drift)
         self.boot += dt * (1 + self._drift)
         self.estimate.step(dt)
+        self.estimator.step(self.boot, dt, self.vehicle.body.position, self.vehicle.body.velocity)
+        self._keep_position(dt)
         wanted = self.logic.step(self.boot, self.estimated, self.vehicle.body.stands)
         if wanted is not None and wanted.position is not None:  # true position is off by the estimate's error
-            wanted = replace(wanted, position=wanted.position - self.estimate.now.position)
+            wanted = replace(wanted, position=wanted.position - self.estimator.error)
         events = self.vehicle.step(dt, wanted)
         self.reports.step(self.boot, self)
         return events
+
+    def _keep_position(self, dt: float) -> None:
+        """Land by the failsafe of an estimator with external navigation that has had no position for 0.6 s."""
+        flies = self.logic.armed and not self.vehicle.body.stands and self.estimator.takes_odometry
+        self._lost_for = self._lost_for + dt if flies and not self.located else 0.0
+        if self._lost_for > 0.6 and self.logic.doing not in (Doing.LAND, Doing.PILOT):
+            self.fail_safe(Doing.LAND, "EKF Failsafe: changed to LAND Mode")
 
     def send(self, message: Any) -> None:
         """Encode a MAVLink message and add it to the pending datagrams."""
@@ -224,6 +242,10 @@ class SimulatedAutopilot:
             self.send(mavlink.MAVLink_command_ack_message(m.command, result, 0, 0, *sender))
         elif name == "TIMESYNC" and m.tc1 == 0:
             self.send(mavlink.MAVLink_timesync_message(round(self.boot * 1e9), m.ts1))
+        elif name == "TIMESYNC":
+            self.estimator.on_timesync(m.ts1 * 1e-9, m.tc1 * 1e-9, self.boot)
+        elif name == "ODOMETRY":
+            self.estimator.on_odometry(m, self.boot)
         elif name == "SET_POSITION_TARGET_GLOBAL_INT":
             self._guide(m, self.home.metres(m.lat_int * 1e-7, m.lon_int * 1e-7, m.alt))
         elif name == "SET_POSITION_TARGET_LOCAL_NED":
@@ -275,6 +297,8 @@ class SimulatedAutopilot:
             done = logic.take_off(p[6] - (self.home.altitude_msl if self.dialect.needs_setpoints else 0))
         elif command == mavlink.MAV_CMD_DO_CHANGE_SPEED:
             done = logic.limit(p[0], p[1])
+        elif command == mavlink.MAV_CMD_SET_EKF_SOURCE_SET:
+            done, failed = self.estimator.select(p[0]), denied
         elif command == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
             done = True
             self.reboot()

@@ -340,6 +340,12 @@ class SteeredFlight:
         jump = Jump(at=self.seconds, seconds=seconds, offset=(east, north, up))
         self._change_nav(jumps=(*self.sensors.nav.errors.jumps, jump))
 
+    def lead_gps(self, speed: Sequence[float], seconds: float | None = None) -> None:
+        """Lead all GPS positions away by (3,) m/s, velocities too, for the next `seconds` (None: to the end)."""
+        east, north, up = (float(v) for v in speed)
+        led = Jump(at=self.seconds, seconds=seconds, offset=(0.0, 0.0, 0.0), speed=(east, north, up))
+        self._change_nav(jumps=(*self.sensors.nav.errors.jumps, led))
+
     def _change_nav(self, **what: Any) -> None:
         self.sensors.nav.errors = self.sensors.nav.errors.model_copy(update=what)
 

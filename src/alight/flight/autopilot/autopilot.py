@@ -22,6 +22,7 @@ class TelemetryReader(Protocol):
     """Interface of a reader of a vehicle's messages, such as `TelemetryEvents`."""
 
     starts: int  # number of the autopilot's boot that the messages belong to
+    by_sight: bool  # whether the autopilot's position and velocity come from our odometry
 
     def restart(self, starts: int) -> None:
         """Begin anew after a reboot of the autopilot; `starts` is the number of its boots so far."""
@@ -47,6 +48,7 @@ class Autopilot:
         events: maker of GPS/INS rows and IMU samples from the telemetry; None: no samples are made.
         component: our component number on the link.
         key: signs what is sent; messages without its signature are dropped. None: nothing is signed.
+        odometry: whether to request the further messages that sending odometry needs.
     """
 
     def __init__(
@@ -55,9 +57,11 @@ class Autopilot:
         events: TelemetryReader | None = None,
         component: int = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER,
         key: SigningKey | None = None,
+        odometry: bool = False,
     ) -> None:
         self._framing = Framing(1, component, key)
         self._component, self._events, self._rates = component, events, dict(rates or {})
+        self.odometry = odometry  # whether odometry is sent
         self._out: list[bytes] = []
         self._notices: list[Notice] = []
         self._samples: list[NavSample | ImuSample] = []
@@ -145,6 +149,7 @@ class Autopilot:
             if vehicle.on_message(received, self._now_ns) and events is not None:
                 if vehicle.starts > events.starts:
                     events.restart(vehicle.starts)
+                events.by_sight = vehicle.odometry.in_use
                 self._samples += events.feed(received.name, received.message, vehicle.clock)
 
     def _vehicle_of(self, heartbeat: ReceivedMessage) -> RemoteVehicle | None:
@@ -162,7 +167,8 @@ class Autopilot:
         self._framing.set_sender(system, self._component)
         self._interference = Interference((m.autopilot, m.type))
         self._note(NoticeKind.FOUND, f"{firmware.name}, system {system}")
-        return RemoteVehicle(heartbeat, firmware(), (system, self._component), self._rates, self._send, self._note)
+        rates = {**(firmware.odometry_rates if self.odometry else {}), **self._rates}
+        return RemoteVehicle(heartbeat, firmware(), (system, self._component), rates, self._send, self._note)
 
     def _send(self, outgoing: Any) -> None:
         self._out.append(self._framing.encode(outgoing))

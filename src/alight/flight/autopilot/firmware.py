@@ -46,6 +46,11 @@ class Firmware(ABC):
     # itself at the end of a task; True: on the ground only, as in the air they are a takeover
     fence_parameters: tuple[str, ...] = ()  # parameters that decide how its fence is meant
     high_site: float  # metres above home from which its LAND descends fast
+    odometry_frame: int  # MAV_FRAME of ODOMETRY with axes north, east, down
+    odometry_by_our_clock: bool  # whether it converts the stamps of ODOMETRY itself, by TIMESYNC requests of its own
+    odometry_rates: Mapping[str, float] = MappingProxyType({"LOCAL_POSITION_NED": 10.0})  # Hz, of further messages
+    position_sources: Mapping[bool, int] = MappingProxyType({})  # its set of sources with odometry (True), with GPS;
+    # empty: it fuses both, and takes no command
     modes: Mapping[str, FlightMode]  # by the autopilot's names; other names are OTHER
     parameters: Mapping[FlightMode, tuple[float, ...]]  # of MAV_CMD_DO_SET_MODE, after the base mode
 
@@ -118,6 +123,9 @@ class ArduPilotFirmware(Firmware):
     takes_speeds = takes_targets = True
     fence_parameters = ("FENCE_OPTIONS",)
     high_site = 8.0  # LAND_ALT_LOW is 10 m, and home may lie lower than its estimate
+    odometry_frame = mavlink.MAV_FRAME_LOCAL_FRD  # the only one that it accepts
+    odometry_by_our_clock = False
+    position_sources: Mapping[bool, int] = {False: 1, True: 2}
     modes: Mapping[str, FlightMode] = {
         "AUTO": FlightMode.MISSION,
         "GUIDED": FlightMode.GUIDED,
@@ -181,6 +189,9 @@ class Px4Firmware(Firmware):
         (FlightMode.LAND, FlightMode.HOLD): True,
     }
     high_site = 4.0  # LAND slows down from MPC_LAND_ALT1, 10 m, to MPC_LAND_ALT2, 5 m
+    odometry_frame = mavlink.MAV_FRAME_LOCAL_NED  # in LOCAL_FRD it would turn the position by its own error of heading
+    odometry_by_our_clock = True  # without TIMESYNC from it to us it takes the time of arrival
+    odometry_rates: Mapping[str, float] = {"LOCAL_POSITION_NED": 10.0, "TIMESYNC": 10.0}
     modes: Mapping[str, FlightMode] = {
         "OFFBOARD": FlightMode.GUIDED,
         "AUTO.MISSION": FlightMode.MISSION,

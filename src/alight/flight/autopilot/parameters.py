@@ -18,6 +18,7 @@ class WantedParameter(NamedTuple):
     why: str
     needed: bool = False  # whether no flight begins with another value
     restart: bool = False  # whether a new value counts only after a restart
+    odometry: bool = False  # whether it matters only where odometry is sent
 
     @property
     def judged(self) -> bool:
@@ -41,7 +42,8 @@ class WantedParameter(NamedTuple):
     @property
     def level(self) -> str:
         """What another value does to a flight, in one word: refused, warning or not judged."""
-        return "refused" if self.needed else "warning" if self.judged else "not judged"
+        level = "refused" if self.needed else "warning" if self.judged else "not judged"
+        return f"{level}, `--odometry`" if self.odometry else level
 
 
 W = WantedParameter
@@ -64,6 +66,13 @@ PARAMETERS: Mapping[str, tuple[WantedParameter, ...]] = {  # by name of the firm
             ANY,
             "without it no wind is reported, and its limit cannot act",
         ),
+        W("VISO_TYPE", "1", (1, 1), "odometry comes over MAVLink", needed=True, restart=True, odometry=True),
+        W("EK3_SRC2_POSXY", "6", (6, 6), "the second set of sources flies by odometry", needed=True, odometry=True),
+        W("EK3_SRC2_VELXY", "6", (6, 6), "its velocity too", needed=True, odometry=True),
+        W("EK3_SRC2_POSZ", "1", (1, 1), "heights stay those of the barometer", needed=True, odometry=True),
+        W("EK3_SRC2_YAW", "1", (1, 1), "the heading stays that of the compass", needed=True, odometry=True),
+        W("EK3_SRC_OPTIONS", "0", (0, 0), "with 1 velocities of GPS count by sight too", needed=True, odometry=True),
+        W("VISO_DELAY_MS", "as the check `odometry` shows", ANY, "it takes the least delay for none", odometry=True),
     ),
     "PX4": (
         W("COM_OBL_RC_ACT", "5", (3, 5), "lost set-points end in Hold; with 0 to 2 it may sink blindly", needed=True),
@@ -77,13 +86,19 @@ PARAMETERS: Mapping[str, tuple[WantedParameter, ...]] = {  # by name of the firm
         W("NAV_DLL_ACT", "0", ANY, "above 0 it arms only while a ground station is connected; Alight is none"),
         W("COM_RC_IN_MODE", "4", ANY, "only without a receiver"),
         W("COM_RCL_EXCEPT", "4", ANY, "only without a receiver, for Offboard"),
+        W("EKF2_EV_CTRL", "5", (5, 5), "its position and velocity are fused", needed=True, odometry=True),
+        W("EKF2_HGT_REF", "0", (0, 0), "heights are those of the barometer", odometry=True),
+        W("EKF2_EV_DELAY", "0", (0, 20), "stamps are converted by TIMESYNC", odometry=True),
     ),
 }
 
 
-def judged_parameters(firmware: str) -> dict[str, WantedParameter]:
-    """Return the parameters that are judged before a flight, by name; `firmware` is a key of `PARAMETERS`."""
-    return {p.name: p for p in PARAMETERS[firmware] if p.judged}
+def judged_parameters(firmware: str, odometry: bool = False) -> dict[str, WantedParameter]:
+    """Return the parameters that are judged before a flight, by name; `firmware` is a key of `PARAMETERS`.
+
+    `odometry`: whether it is sent.
+    """
+    return {p.name: p for p in PARAMETERS[firmware] if p.judged and (odometry or not p.odometry)}
 
 
 def parameters_table(firmware: str) -> str:

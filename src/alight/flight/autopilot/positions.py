@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, insort
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from operator import attrgetter
 from typing import Any
@@ -21,6 +21,7 @@ from alight.records.telemetry import HIGHEST
 _KEPT = 300  # positions
 _CARRIED_NS = 1_500_000_000  # longest extrapolation of a report, where reports are late or few
 _BACK_NS = 400_000_000  # longest extrapolation backwards, before a report
+_RESET = 0.3  # m, by which a position may differ from the one before it carried on: an acceleration gives 0.05 in 0.1 s
 _NO_SPEED = np.iinfo(np.int16).max  # value of a speed that is not set
 _stamp = attrgetter("boot_ns")
 
@@ -73,6 +74,8 @@ class PositionLog:
     """
 
     def __init__(self) -> None:
+        self.expects_resets = False  # whether the estimator may be reset by metres, as where its source changes
+        self.resets = 0  # number of such resets
         self._reports: list[PositionReport] = []
         self._arrivals: deque[tuple[int, int]] = deque(maxlen=_KEPT)  # our clock, and the autopilot's stamp, ns
         self._newest: PositionReport | None = None  # report accepted last
@@ -93,11 +96,20 @@ class PositionLog:
             if report.boot_ns - self._doubted_since_ns < 1_000_000_000:
                 return False
             self._reports.clear()  # they belong to another estimate
+        if self.expects_resets and self._reports and self._is_reset(report):
+            self._reports.clear()  # positions before the reset differ by it; the nearest after it count
+            self.resets += 1
         self._newest, self._doubted = report, None
         insort(self._reports, report, key=_stamp)  # the link may reorder them
         del self._reports[:-_KEPT]
         self._arrivals.append((now_ns, report.boot_ns))
         return True
+
+    def _is_reset(self, new: PositionReport) -> bool:
+        before = self._reports[-1]
+        recent = 0 < new.boot_ns - before.boot_ns < _BACK_NS
+        a, b = before.at(new.boot_ns), new.place
+        return recent and metres_between(replace(a, altitude_msl=0.0), replace(b, altitude_msl=0.0)) > _RESET
 
     def at(self, boot_ns: int) -> Place | None:
         """Return the position at an instant of the autopilot's clock, extrapolated from the nearest report.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
@@ -18,8 +17,10 @@ from alight.flight.autopilot.dialect import mavlink
 from alight.flight.autopilot.fence import fence_region
 from alight.flight.autopilot.firmware import Firmware
 from alight.flight.autopilot.framing import ReceivedMessage
+from alight.flight.autopilot.odometry import ExternalPose, OdometryLink
 from alight.flight.autopilot.onboard import OnboardData
 from alight.flight.autopilot.setpoints import Guidance, Setpoint, Target
+from alight.flight.autopilot.status_texts import StatusText, TextJoiner
 from alight.flight.autopilot.streams import StreamKeeper, StreamRate
 from alight.flight.autopilot.vehicle_state import VehicleState, boot_time_ns
 from alight.geometry import LocalFrame
@@ -27,45 +28,6 @@ from alight.geometry.zones import Region
 from alight.records import FlightMode, NoticeKind, Place, Telemetry
 
 _FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer is no evidence of a reboot
-
-
-class StatusText(NamedTuple):
-    """A text of the autopilot; `ok` is False for errors, `warns` is True for warnings and errors."""
-
-    text: str
-    ok: bool
-    warns: bool
-
-
-class TextJoiner:
-    """Joins the pieces of a long text, which carry the same number. Lost pieces are skipped."""
-
-    def __init__(self) -> None:
-        self._number = self._next = self._since_ns = 0  # number of the text that is joined, and of its next piece
-        self._pieces: list[StatusText] = []
-
-    def add(self, message: Any, now_ns: int) -> list[StatusText]:
-        """Process a STATUSTEXT; return the texts that it completes: none, one or two.
-
-        A piece of less than 50 characters is the last piece of its text.
-        """
-        over = self._joined() if message.id != self._number else []
-        if self._pieces and message.chunk_seq < self._next:
-            return over  # it came twice
-        self._number, self._next, self._since_ns = message.id, message.chunk_seq + 1, now_ns
-        ok, warns = message.severity > mavlink.MAV_SEVERITY_ERROR, message.severity <= mavlink.MAV_SEVERITY_WARNING
-        self._pieces.append(StatusText(str(message.text), ok, warns))
-        return over + (self._joined() if not message.id or len(message.text) < 50 else [])
-
-    def overdue(self, now_ns: int) -> list[StatusText]:
-        """Return the incomplete text whose next piece has not come within a second, else an empty list."""
-        return self._joined() if now_ns - self._since_ns > 1_000_000_000 else []
-
-    def _joined(self) -> list[StatusText]:
-        pieces, self._pieces = self._pieces, []
-        if not pieces:
-            return []
-        return [StatusText("".join(p.text for p in pieces), all(p.ok for p in pieces), pieces[0].warns)]
 
 
 class Displacement(NamedTuple):
@@ -99,8 +61,8 @@ class RemoteVehicle:
         self._streams = StreamKeeper(wanted, self._commands)
         self._guidance = Guidance(firmware, address, send, self._commands)
         self.onboard = OnboardData(firmware, address, us, send)
+        self.odometry = OdometryLink(firmware, self._state, self.clock, send, self._commands)
         self._now_ns = 0
-        self._warnings = deque[tuple[int, str]](maxlen=5)  # our clock, and the text
         self._taken_by_failsafe = False
         self.starts = 1  # number of the autopilot's boots so far
 
@@ -124,8 +86,8 @@ class RemoteVehicle:
     @property
     def failsafe(self) -> str:
         """Failsafe of the autopilot that ended our control, by its warnings of the last 2 s; empty: none did."""
-        recent = [text for t_ns, text in self._warnings if self._now_ns - t_ns < 2_000_000_000]
-        return ("; ".join(recent) or "its state is critical") if self._taken_by_failsafe else ""
+        recent = "; ".join(self._texts.warnings(self._now_ns))
+        return (recent or "its state is critical") if self._taken_by_failsafe else ""
 
     @property
     def throttle_low(self) -> bool:
@@ -143,6 +105,11 @@ class RemoteVehicle:
     def place_jumped(self) -> bool:
         """Whether the newest positions contradict the accepted positions."""
         return self._state.positions.doubted
+
+    @property
+    def place_resets(self) -> int:
+        """Number of resets of the autopilot's estimate, which moved its positions by metres, since it flew by sight."""
+        return self._state.positions.resets
 
     @property
     def place_age(self) -> float:
@@ -236,6 +203,14 @@ class RemoteVehicle:
         self._control.released()
         self._guidance.target = None
         self._commands.drop()
+
+    def send_odometry(self, pose: ExternalPose) -> bool:
+        """Send the motion of an exposure as external navigation; return False if the clocks are not tied."""
+        return self.alive and self.odometry.send(pose)
+
+    def fly_by_sight(self, wanted: bool) -> int | None:
+        """Order it to fly by our odometry, or by GPS; return the ticket, None if it needs no order (PX4 fuses both)."""
+        return self.odometry.use(wanted, self._timeouts.t_ns)
 
     def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool:
         """Send a set-point, for a vehicle in guided mode; repeat it later if the autopilot needs that.
@@ -340,6 +315,7 @@ class RemoteVehicle:
         elif name == "STATUSTEXT":
             self._note_texts(self._texts.add(m, self._now_ns))
         elif m.tc1 == 0:  # a request; its stamp goes back with ours
+            self._streams.on_message(name, self._timeouts.t_ns)
             self._send(mavlink.MAVLink_timesync_message(self._now_ns, m.ts1))
         elif self.clock.add_answer(m.ts1, m.tc1, self._now_ns) and self._now_ns - m.ts1 < _FRESH_NS:
             self._on_stamp(m.tc1)
@@ -385,6 +361,5 @@ class RemoteVehicle:
                 self._note(NoticeKind.COMMAND, answer.text, answer.ok, ticket=answer.ticket)
 
     def _note_texts(self, texts: list[StatusText]) -> None:
-        self._warnings += [(self._now_ns, t.text) for t in texts if t.warns]
         for text in texts:
             self._note(NoticeKind.TEXT, text.text, ok=text.ok)

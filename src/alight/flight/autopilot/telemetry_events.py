@@ -13,10 +13,10 @@ from scipy.constants import g, milli
 from alight.arrays import F64
 from alight.flight.autopilot import border
 from alight.flight.autopilot.clock import VehicleClock
-from alight.flight.autopilot.positions import report_of
+from alight.flight.autopilot.positions import place_of, report_of
 from alight.flight.autopilot.vehicle_state import attitude_of, gps_quality
 from alight.geometry import LocalFrame, slerp, so3_exp
-from alight.records import FIX_3D, GpsQuality, ImuSample, NavSample, is_absolute
+from alight.records import FIX_3D, GpsQuality, ImuSample, NavSample, Place, is_absolute
 
 _GAP_NS = 300_000_000  # longest interval between two attitudes that is interpolated
 _REACH_NS = 100_000_000  # longest extrapolation of an attitude by its rates
@@ -41,6 +41,9 @@ class TelemetryEvents:
     accuracies. It is returned once a later attitude has come. IMU samples are made from the best of HIGHRES_IMU,
     RAW_IMU (as ArduPilot scales it) and SCALED_IMU. No sample is returned before TIMESYNC has tied the clocks.
 
+    While the autopilot flies `by_sight`, its position and velocity are our own estimate. Its rows then have only the
+    attitude and the height of the barometer, and there is a row with the position of each GPS_RAW_INT.
+
     Args:
         local: the world frame; None: made at the first good position.
         separation: ellipsoidal height minus altitude above the sea, metres; None: as reported by the receiver
@@ -52,6 +55,7 @@ class TelemetryEvents:
         self._given_separation = math.nan if separation is None else separation
         self._attitudes: deque[_Attitude] = deque(maxlen=10)
         self._waiting: deque[Any] = deque()  # GLOBAL_POSITION_INT; up to 20 wait for an attitude
+        self.by_sight = False
         self.restart(1)
 
     def restart(self, starts: int) -> None:
@@ -89,7 +93,8 @@ class TelemetryEvents:
             self._waiting.append(message)
         elif name in ("ATTITUDE", "ATTITUDE_QUATERNION"):
             self._add_attitude(message)
-        return [*self._complete(clock), *self._imu(name, message, clock)]
+        received = [] if name != "GPS_RAW_INT" or not self.by_sight else self._received(message, clock)
+        return [*self._complete(clock), *received, *self._imu(name, message, clock)]
 
     def _add_attitude(self, m: Any) -> None:
         (world_from_body, rates), boot_ns = attitude_of(m), m.time_boot_ms * 1_000_000
@@ -121,22 +126,36 @@ class TelemetryEvents:
 
     def _sample(self, m: Any, clock: VehicleClock) -> NavSample:
         boot_ns, gps = m.time_boot_ms * 1_000_000, self._gps or GpsQuality()
-        attitude = self._attitude_at(boot_ns)
+        attitude, report = self._attitude_at(boot_ns), report_of(m)
+        world_from_body, rates = (None, None) if attitude is None else (attitude.world_from_body, attitude.rates)
+        if self.by_sight:
+            height = None if report is None else self._position(report.place)
+            up = None if height is None else float(height[2])
+            return NavSample(clock.ours_ns(boot_ns), None, world_from_body, None, rates, height_world=up)
         return NavSample(
             clock.ours_ns(boot_ns),
-            self._position(m),
-            None if attitude is None else attitude.world_from_body,
+            None if self.missing or report is None else self._position(report.place),
+            world_from_body,
             border.enu(m.vx, m.vy, m.vz) * 1e-2,
-            None if attitude is None else attitude.rates,
+            rates,
             sigma_position=_sigmas(gps.horizontal, gps.vertical),
             sigma_velocity=_sigmas(gps.speed, gps.speed),
         )
 
-    def _position(self, m: Any) -> F64 | None:
-        report = report_of(m)
-        if self.missing or report is None:
+    def _received(self, m: Any, clock: VehicleClock) -> list[NavSample]:
+        """Return the row of a GPS_RAW_INT: the receiver's own position."""
+        gps, place = self._gps or GpsQuality(), place_of(m.lat, m.lon, m.alt, 0)
+        position = None if gps.fix < FIX_3D or place is None else self._position(place)
+        if position is None or not clock.known:
+            return []
+        sigma = _sigmas(gps.horizontal, gps.vertical)
+        return [NavSample(clock.ours_ns(m.time_usec * 1000), position, None, sigma_position=sigma)]
+
+    def _position(self, place: Place) -> F64 | None:
+        """Return a position in the world, (3,) metres; None: its height above the ellipsoid is unknown."""
+        if not math.isfinite(self._separation):
             return None
-        at = (report.place.latitude, report.place.longitude, report.place.altitude_msl + self._separation)
+        at = (place.latitude, place.longitude, place.altitude_msl + self._separation)
         if self.local is None:
             self.local = LocalFrame(*at)
         return self.local.to_enu(*at)

@@ -101,6 +101,8 @@ class VehicleState:
         self._ground_ns: int | None = None  # first of the last consecutive reports of the ground
         self.positions = PositionLog()
         self.sticks: tuple[int, ...] | None = None
+        # newest local position: the autopilot's clock, ns; (3,) metres and (3,) m/s, east, north, up
+        self.local: tuple[int, F64, F64] | None = None
 
     def telemetry(self, now_ns: int) -> Telemetry:
         """Return everything received so far, with the age in seconds of each message."""
@@ -116,7 +118,7 @@ class VehicleState:
         """Forget everything but the mode; the vehicle is treated as disarmed."""
         self.newest = replace(Telemetry(self._firmware.name), mode=self.newest.mode)
         self.positions, self._ground_ns = PositionLog(), None
-        self.sticks = None
+        self.sticks = self.local = None
 
     def on_message(self, name: str, m: Any, now_ns: int) -> bool:
         """Process a message of the vehicle that came at `now_ns` of our clock; return whether it is accepted."""
@@ -131,6 +133,8 @@ class VehicleState:
             armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
             failsafe = m.system_status in (mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY)
             self.newest = replace(self.newest, armed=armed, mode=mode, mode_name=mode_name, failsafe=failsafe)
+        elif name == "LOCAL_POSITION_NED" and boot_ns is not None:
+            self.local = boot_ns, border.enu(m.x, m.y, m.z), border.enu(m.vx, m.vy, m.vz)
         elif name == "EXTENDED_SYS_STATE":
             self._on_landed_state(m.landed_state, now_ns)
         elif name == "RC_CHANNELS":

@@ -26,7 +26,7 @@ from alight.flight.executive.table import AT_A_PLACE, CROSSING, DOWN, ENDS, JUDG
 from alight.flight.executive.visit import Visit
 from alight.flight.executive.ways import ClearWay, Course
 from alight.landing.wind import ground_speed, is_from_behind
-from alight.records import MotionState, Site
+from alight.records import MotionState, Site, p_safe_text
 from alight.records.executive import (
     FlightDiary,
     FlightEvent,
@@ -65,6 +65,7 @@ class Executive:
         self._way: F64 | None = None  # (3,) metres, point to fly to in a search or a climb
         self._visit: Visit | None = None
         self._held = S.SEARCH  # the state before HOLD
+        self._by_sight = False  # whether it flew by sight at the last step
         self._touched = False  # whether the ground was reported in a state of `DOWN`: no climb from then on
 
     def confine(self, bounds: Bounds, goals: Sequence[Goal] = ()) -> None:
@@ -189,15 +190,35 @@ class Executive:
 
     def _searching(self, now: Situation) -> Event | None:
         assert self._frame.home is not None
+        if (near := self._near_site(now)) is not None:
+            self._begin_visit(near)
+            return E.FOUND, f"the nearest site, as GPS is lost, P(safe) {p_safe_text(near.p_safe)}"
         step = self._search.step(now, self._frame.home, self._frame.ground, self._seen(now), self._is_open(now))
         self.diary.looks += [] if step.look is None else [step.look]
         if step.place is not None:
-            self._visit = Visit(
-                step.place, self._settings, self._looks, self._places, self._limits, self.diary.looks.append
-            )
+            self._begin_visit(step.place)
             return E.FOUND, step.why
         self._way = step.way
         return (E.SEARCHED, step.why) if step.way is None else None
+
+    def _begin_visit(self, place: Site) -> None:
+        self._visit = Visit(place, self._settings, self._looks, self._places, self._limits, self.diary.looks.append)
+
+    def _near_site(self, now: Situation) -> Site | None:
+        """Return the nearest site that can be reached in flight by sight; None: there is none, or GPS is there."""
+        return (
+            None
+            if now.sight is None or now.position is None
+            else self._places.nearest_site(now.position, self._is_open(now))
+        )
+
+    def _can_reach(self, place: Site, now: Situation) -> bool:
+        """Whether the vehicle is above a place, by sight, before its position is as uncertain as the place is wide."""
+        if now.sight is None or now.position is None:
+            return True
+        way, r = place.position_world - now.position, self._route
+        seconds = math.hypot(way[0], way[1]) / r.cruise_speed + abs(float(way[2])) / r.descent_speed
+        return now.sight.sigma_after(seconds) < place.radius
 
     def _aborting(self, now: Situation) -> Event | None:
         waited = now.t - self._since
@@ -210,6 +231,16 @@ class Executive:
         return (E.WAITED, f"it does not climb: {waited:.0f} s") if waited > self._keys.hold else None
 
     def _at_place(self, now: Situation, visit: Visit) -> Event | None:
+        began, self._by_sight = now.sight is not None and not self._by_sight, now.sight is not None
+        if (
+            began
+            and self.state in AT_A_PLACE
+            and not (visit.place.kind == "site" and self._can_reach(visit.place, now))
+        ):
+            near = self._near_site(now)
+            if near is not None:
+                self._begin_visit(near)
+                return E.GPS_LOST, f"P(safe) {p_safe_text(near.p_safe)}"
         event = visit.step(now, self._seen(now))
         if event is not None or visit.to is None or now.position is None:
             return event
@@ -279,4 +310,5 @@ class Executive:
         return Order("fly", to, speed, sink)
 
     def _is_open(self, now: Situation) -> Callable[[Site], bool]:
-        return partial(self._looks.is_open, now=now, seen=self._seen(now))
+        is_open = partial(self._looks.is_open, now=now, seen=self._seen(now))
+        return is_open if now.sight is None else lambda place: self._can_reach(place, now) and is_open(place)

@@ -30,7 +30,7 @@ class AttemptLimits:
         """Note the start of the landing, what was last missing or degraded, and the age of a verdict."""
         self._begun = now.t if self._begun is None else self._begun
         self.missing_at = self.missing_at if now.holds else now.t
-        if now.state is not MotionState.DEGRADED:
+        if now.state is not MotionState.DEGRADED if now.sight is None else now.sight.sees:
             self._sound_at = now.t
         if now.seen is not None and now.seen.number > self._judged:
             self._judged = now.seen.number
@@ -74,7 +74,7 @@ class AttemptLimits:
         return self._keys.hold if now.holds else self._keys.wait
 
     def is_too_weak(self, now: Situation, state: FlightState, left: float) -> bool:
-        """Whether the motion has been degraded for too long at a location.
+        """Whether the motion has been degraded for too long at a location or, by sight, is not shown by the pictures.
 
         Args:
             state: present state; during HOLD, the state before it.
@@ -82,4 +82,5 @@ class AttemptLimits:
         """
         if state is FlightState.COMMIT and is_near_ground(left, self._keys):
             return False
-        return state in NEAR_A_PLACE and now.t - self._sound_at >= self._keys.degraded
+        matters = state in NEAR_A_PLACE or now.sight is not None
+        return matters and now.t - self._sound_at >= self._keys.degraded

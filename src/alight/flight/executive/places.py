@@ -10,6 +10,7 @@ from itertools import compress
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.flight.executive.bounds import Bounds
 from alight.landing.sites import REASON_WORDS
 from alight.records import Hazard, Site, Terrain, keeps_margin
@@ -143,6 +144,15 @@ class KnownPlaces:
         hopeless = len(self._refused) >= self._keys.visits
         counts = (p for p in self._ranked() if p.kind == "site" or not hopeless)
         return next(filter(is_open, counts), None)
+
+    def nearest_site(self, position: F64, is_open: Callable[[Site], bool]) -> Site | None:
+        """Return the nearest site that was not refused to a position, (3,) metres; None: there is none.
+
+        `is_open`: see `best`.
+        """
+        sites = [p for p in self._noted if p.kind == "site" and not (p.avoid or self.is_refused(p))]
+        near = sorted(sites, key=lambda p: math.dist(position[:2], (p.east, p.north)))
+        return next(filter(is_open, near), None)
 
     def _ranked(self) -> list[Site]:
         """Return the locations that were not refused: sites, then candidates, each by P(safe) and land cover."""

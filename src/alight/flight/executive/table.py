@@ -26,6 +26,7 @@ def _rows() -> Mapping[tuple[FlightState, FlightEvent], FlightState]:
     out |= {(S.SEARCH, E.SEARCHED): S.RETURN, (S.SEARCH, E.FOUND): S.APPROACH}
     out |= {(S.APPROACH, E.ARRIVED): S.LOOK, (S.DESCEND, E.ARRIVED): S.LOOK}
     out |= {(S.LOOK, E.LOWER): S.DESCEND, (S.LOOK, E.CONFIRMED): S.COMMIT}
+    out |= {(s, E.GPS_LOST): S.APPROACH for s in AT_A_PLACE}
     out |= {(s, E.REFUSED): S.SEARCH for s in AT_A_PLACE}
     out |= {(s, E.WAITED): S.SEARCH for s in AT_A_PLACE}
     out |= {(s, E.NEW_FRAME): S.SEARCH for s in AT_A_PLACE}

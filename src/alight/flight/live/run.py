@@ -13,7 +13,7 @@ from alight.landing.zones import MapZones
 from alight.outputs import prepare_folder
 from alight.outputs.recorder import Recorder, make_room
 from alight.pipeline import FlightPolicy
-from alight.records import NO_ZONES, AlightError, Event, Frame, RunResult
+from alight.records import NO_ZONES, AlightError, Event, Frame, Motion, RunResult
 from alight.records.codec import FlightHead
 from alight.runs import appearance_of, result_of
 from alight.settings import Settings
@@ -40,7 +40,7 @@ class LiveRequest:
 
 def fly_live(
     source: Source, events: Iterator[Event], request: LiveRequest,
-    on_health: Callable[[str], None] = lambda line: None,
+    on_health: Callable[[str], None] = lambda line: None, on_motion: Callable[[Motion], None] = lambda motion: None,
 ) -> RunResult:  # fmt: skip
     """Run the lanes on events as they come, until the events end or Ctrl-C is pressed; return the result.
 
@@ -49,11 +49,12 @@ def fly_live(
         events: events of the source, each yielded when it is due.
         request: folder and options.
         on_health: called with the state of the lanes as one line, about twice per second.
+        on_motion: called with each motion, on the thread of its lane.
 
     Raises:
         AlightError: the input cannot be used, or the output cannot be written.
     """
-    run = LiveRun(source, request)
+    run = LiveRun(source, request, Listener(on_motion))
     try:
         run.live.wait_until_ready()
         reported = time.perf_counter()

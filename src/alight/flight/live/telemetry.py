@@ -11,8 +11,9 @@ from collections.abc import Iterator, Mapping
 from alight.flight.autopilot import Autopilot, TelemetryEvents, open_link
 from alight.flight.autopilot.interference import counts_text
 from alight.flight.autopilot.signing import SigningKey
+from alight.flight.live.sight import SightNavigation
 from alight.geometry import LocalFrame
-from alight.records import Event, InputError, NavSample
+from alight.records import Event, InputError, Motion, NavSample
 from alight.sources.calibrated_folder import CalibratedFolder
 from alight.sources.live import LiveSource, as_they_arrive
 
@@ -28,7 +29,7 @@ class TelemetryFeed:
     Args:
         link: name of the link: `udp:0.0.0.0:14550`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`.
         separation: ellipsoidal height minus altitude above the sea, metres; None: as reported by the receiver.
-        rates, key: see `Autopilot`.
+        rates, key, odometry: see `Autopilot`.
 
     Raises:
         InputError: the link cannot be opened.
@@ -36,12 +37,12 @@ class TelemetryFeed:
 
     def __init__(
         self, link: str, separation: float | None = None, rates: Mapping[str, float] | None = None,
-        key: SigningKey | None = None,
+        key: SigningKey | None = None, odometry: bool = False,
     ) -> None:  # fmt: skip
         self.name = link
         self.link = open_link(link)
         self.events_of = TelemetryEvents(None, separation)
-        self.autopilot = Autopilot(rates, self.events_of, key=key)
+        self.autopilot = Autopilot(rates, self.events_of, key=key, odometry=odometry)
         self.lock = threading.Lock()  # guards the autopilot, which gets orders from several threads
         self._samples: queue.Queue[Event] = queue.Queue()
         self._sending = threading.Lock()  # orders are sent at once, without waiting for the listener
@@ -139,11 +140,12 @@ class TelemetryFeed:
 
 
 def with_telemetry(
-    opened: LiveSource, link: str, separation: float | None = None, key: SigningKey | None = None
-) -> LiveSource:
+    opened: LiveSource, link: str, separation: float | None = None, key: SigningKey | None = None,
+    odometry: bool = False,
+) -> LiveSource:  # fmt: skip
     """Combine a source of pictures with an autopilot's GPS/INS; the world's origin is the autopilot's position.
 
-    `link`, `separation`, `key`: see `TelemetryFeed`.
+    `link`, `separation`, `key`, `odometry`: see `TelemetryFeed`.
 
     Raises:
         InputError: the source is a recording, or the autopilot gives no position.
@@ -151,7 +153,7 @@ def with_telemetry(
     source = opened.source
     if not isinstance(source, CalibratedFolder) or not opened.real_time:
         raise InputError(f"{source.name}: has a clock of its own; --telemetry goes with cameras and folders that fill")
-    feed = TelemetryFeed(link, separation, key=key)
+    feed = TelemetryFeed(link, separation, key=key, odometry=odometry)
     try:
         source.locate(feed.wait_for_position())
     except InputError:
@@ -164,4 +166,16 @@ def with_telemetry(
         finally:
             feed.close()
 
-    return LiveSource(source, events(), True, lambda: feed.autopilot.telemetry)
+    vehicle = feed.autopilot.vehicle
+    if not odometry or vehicle is None:
+        return LiveSource(source, events(), True, lambda: feed.autopilot.telemetry)
+    sight = SightNavigation(vehicle, vehicle, lambda lane, words: log.warning("%s: %s", lane, words))
+
+    def on_motion(motion: Motion) -> None:
+        with feed.lock:
+            for notice in feed.autopilot.notices():
+                sight.on_notice(notice)
+            sight.on_motion(motion, time.monotonic_ns())
+        feed.flush()
+
+    return LiveSource(source, events(), True, lambda: feed.autopilot.telemetry, on_motion)

@@ -9,6 +9,7 @@ from concurrent.futures import Future
 
 from alight.checks.result import CheckResult, Judged, bad, unknown
 from alight.flight.autopilot.interference import counts_text
+from alight.flight.live.sight import SightNavigation
 from alight.flight.live.speed import Speed
 from alight.flight.live.telemetry import TelemetryFeed
 from alight.flight.session import preflight
@@ -34,6 +35,7 @@ class FlightChecks:
         self._plan, self._feed = plan, feed
         self.found = list(machine)  # the newest result of each check
         self.failed: list[BaseException] = []  # errors of the source of pictures
+        self.sight: SightNavigation | None = None  # of the landing; None: no odometry is sent
 
     def wait_for_vehicle(self, speed: Future[Speed], on_status: OnStatus, on_line: OnLine) -> bool:
         """Wait until an autopilot has reported its position, and the speed of this computer is measured.
@@ -102,19 +104,22 @@ class FlightChecks:
         p = inputs.pictures
         found.append(preflight.judge_cameras(p.frames, p.rate(time.monotonic_ns()), p.delay, p.frozen))
         found += [bad("source", str(e), "see that it goes on") for e in self.failed]
-        return [*found, self.of_motion(inputs)] if motion else found
+        return [*found, self.of_motion(inputs), *self._of_odometry()] if motion else found
 
     def after_climb(self, inputs: LandingInputs) -> list[CheckResult]:
         """Return the checks that are only possible after the climb: of the motion and of the throttle stick."""
         with self._feed.lock:
             vehicle = self._feed.autopilot.vehicle
             throttle = [] if vehicle is None else preflight.judge_throttle(vehicle)
-        return [self.of_motion(inputs), *throttle]
+        return [self.of_motion(inputs), *self._of_odometry(), *throttle]
 
     def of_motion(self, inputs: LandingInputs) -> CheckResult:
         """Return the check that the motion is known."""
         m = inputs.motion
         return preflight.judge_motion(m, math.inf if m is None else (time.monotonic_ns() - m.t_ns) * 1e-9)
+
+    def _of_odometry(self) -> list[CheckResult]:
+        return [] if self.sight is None else [preflight.judge_odometry(self.sight)]
 
     def _of_autopilot(self, refused: str = "") -> list[CheckResult]:
         """Return the checks of the link and its autopilot; `refused`: see `judge_link`. The feed must be locked."""
@@ -126,7 +131,7 @@ class FlightChecks:
         take_off, home = plan.take_off is not None, plan.home is not None
         missing = feed.events_of.missing
         checks = preflight.judge_vehicle(vehicle, missing, plan.settings, take_off, plan.dry_run, home)
-        stored = [*preflight.judge_parameters(vehicle), *preflight.judge_fence(vehicle, plan.settings)]
+        stored = [*preflight.judge_parameters(vehicle, plan.odometry), *preflight.judge_fence(vehicle, plan.settings)]
         if plan.zones is not None:
             stored.append(preflight.judge_zones(vehicle, plan.zones, feed.events_of.local, plan.settings))
         return [*found, *checks, preflight.judge_imu(vehicle, plan.imu_rate), *stored]

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from alight.arrays import F64
-from alight.flight.autopilot import EstimateTie, RemoteVehicle, Setpoint, metres_between
+from alight.flight.autopilot import EstimateTie, ExternalPose, RemoteVehicle, Setpoint, metres_between
 from alight.flight.live.telemetry import TelemetryFeed
 from alight.flight.session import preflight
 from alight.records import FlightMode, Place
@@ -25,7 +25,7 @@ class DryRunVehicle:
     def __init__(self, on_line: Callable[[str], None]) -> None:
         self._on_line, self._last = on_line, ""
         self._place: Place | None = None
-        self._speed = math.inf
+        self._speed, self._resets = math.inf, 0
         self.in_control = False
 
     def set_mode(self, mode: FlightMode) -> int:
@@ -54,6 +54,19 @@ class DryRunVehicle:
         east, north, up = np.round(2 * target_world) / 2 + 0.0
         text = f"landing target {-up:.1f} m below, {east:+.1f} m east, {north:+.1f} m north of the vehicle"
         return self._print_new(text)
+
+    def send_odometry(self, pose: ExternalPose) -> bool:
+        """Print the odometry whenever it was reset; return whether the autopilot would get it."""
+        if pose.resets != self._resets:
+            self._resets = pose.resets
+            east, north, up = pose.position
+            at = f"{north:.1f} m north, {east:.1f} m east, {up:.1f} m up from the autopilot's origin"
+            self._print(f"odometry, for each exposure from here on: {at}, quality {100 * pose.quality:.0f} %")
+        return True
+
+    def fly_by_sight(self, wanted: bool) -> None:
+        """Print the choice of the autopilot's source of its position."""
+        self._print(f"source of the position: {'odometry' if wanted else 'GPS'}")
 
     def disarm(self) -> int:
         """Print the command to stop the motors; return 0 as the ticket."""
@@ -91,7 +104,7 @@ def report_parameters(feed: TelemetryFeed, on_line: Callable[[str], None]) -> No
     while time.monotonic() < end:
         with feed.lock:
             vehicle = feed.autopilot.vehicle
-            found = [] if vehicle is None else preflight.judge_parameters(vehicle)
+            found = [] if vehicle is None else preflight.judge_parameters(vehicle, feed.autopilot.odometry)
             read = vehicle is not None and vehicle.onboard.parameters_over
         if read:
             for check in found:

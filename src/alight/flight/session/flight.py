@@ -14,6 +14,7 @@ from alight.checks.result import Judged
 from alight.flight.autopilot import RemoteVehicle
 from alight.flight.live.live import Listener
 from alight.flight.live.run import LiveRequest, LiveRun
+from alight.flight.live.sight import SightNavigation
 from alight.flight.live.signing_key import read_signing_key
 from alight.flight.live.speed import measuring_speed
 from alight.flight.live.telemetry import TelemetryFeed
@@ -27,7 +28,7 @@ from alight.flight.session.take_off import TakeOff
 from alight.landing.zones import MapZones
 from alight.outputs import prepare_folder
 from alight.pipeline import FlightPolicy
-from alight.records import NO_ZONES, Event, FlightMode, Frame, Notice, NoticeKind
+from alight.records import NO_ZONES, Event, FlightMode, Frame, Motion, Notice, NoticeKind
 from alight.records.executive import FlightState
 from alight.sources.calibrated_folder import CalibratedFolder
 from alight.sources.live import LiveSource, as_they_arrive, open_sensors
@@ -59,7 +60,7 @@ def fly_vehicle(
     key = None if plan.signing_key is None else read_signing_key(plan.signing_key)
     prepare_folder(plan.out, plan.overwrite)
     over = threading.Event()
-    feed = TelemetryFeed(plan.link, plan.separation, {"HIGHRES_IMU": plan.imu_rate}, key)
+    feed = TelemetryFeed(plan.link, plan.separation, {"HIGHRES_IMU": plan.imu_rate}, key, plan.odometry)
     try:
         if plan.dry_run:  # before the cameras, which may need half a minute
             report_parameters(feed, on_line)
@@ -104,13 +105,26 @@ def open_session(
     policy = FlightPolicy(every=0)  # maps are judged as the executive needs verdicts
     zones = NO_ZONES if plan.zones is None else plan.zones.in_world(local)
     pilot = LandingPilot(plan.settings, local, vehicle, commands, policy, log, zones)
-    listener = Listener(pilot.inputs.add_motion, pilot.inputs.add_verdict)
+    if plan.odometry:
+        pilot.sight = checks.sight = SightNavigation(vehicle, commands, log.note)
+        pilot.delays["image to odometry"] = pilot.sight.delays
+    listener = Listener(partial(_on_motion, feed, pilot), pilot.inputs.add_verdict)
     on_maps = MapZones(zones, plan.settings.lander.reach) if plan.zones is not None else None
     request = LiveRequest(plan.out, plan.settings, plan.record, True, plan.overwrite, zones=on_maps)
     run = LiveRun(opened.source, request, listener, policy)
     log.recorder = run.recorder
     events = as_they_arrive(opened.events, feed.events())
     return FlightSession(plan, feed, checks, pilot, run, events, log, on_status)
+
+
+def _on_motion(feed: TelemetryFeed, pilot: LandingPilot, motion: Motion) -> None:
+    """Pass a motion to the pilot, on the thread of its lane, and send odometry at once."""
+    if pilot.sight is None:
+        pilot.inputs.add_motion(motion)
+        return
+    with feed.lock:
+        pilot.on_motion(motion, time.monotonic_ns())
+    feed.flush()
 
 
 @dataclass(eq=False)

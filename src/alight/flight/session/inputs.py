@@ -14,8 +14,8 @@ from alight.flight.autopilot import RemoteVehicle, on_plane
 from alight.flight.session.wind import WindWatch
 from alight.geometry import LocalFrame
 from alight.pipeline import Verdict
-from alight.records import FlightMode, Frame, Motion, MotionState, Telemetry
-from alight.records.executive import MapVerdict, Situation
+from alight.records import FlightMode, Frame, Motion, MotionState, PlaceSigma, Telemetry
+from alight.records.executive import MapVerdict, SightQuality, Situation
 
 WIND_KNOWN = 2.0  # m/s, 1-sigma up to which an estimated wind is used
 SILENT = 20.0  # s without a report, after which a battery that was reported is unknown
@@ -103,6 +103,7 @@ class LandingInputs:
         self._vehicle, self._local, self._stale, self._note = vehicle, local, stale, note
         self.pictures, self._battery = PictureWatch(), BatteryWatch()
         self.wind_watch, self._wind_noted = WindWatch(), False
+        self._last_wind: F64 | None = None  # the newest that was known by GPS
         self.motion: Motion | None = None  # of the newest tracked exposure
         self.verdict: MapVerdict | None = None  # the newest
         self.verdict_ns = 0  # stamp of the newest exposure in its map
@@ -179,6 +180,7 @@ class LandingInputs:
             battery=self._battery.share(reports, now_ns * 1e-9),
             wind=self._wind(reports),
             holds=reports.can_hold,
+            sight=_sight(m) if reports.by_sight else None,
             lands=reports.mode is FlightMode.LAND,
             steers=self._vehicle.firmware.takes_targets,
             offset=None if m is None or position is None else self._offset(m),
@@ -186,7 +188,12 @@ class LandingInputs:
         return now, m if position is not None else None
 
     def _wind(self, reports: Telemetry) -> F64 | None:
-        """Return the wind, (3,) m/s as reported or (2,) m/s by the lean; None: unknown."""
+        """Return the wind, (3,) m/s as reported or (2,) m/s by the lean; None: unknown. By sight it is the last one."""
+        if not reports.by_sight:
+            self._last_wind = self._present_wind(reports)
+        return self._last_wind
+
+    def _present_wind(self, reports: Telemetry) -> F64 | None:
         if np.isfinite(reports.wind_world[:2]).all():
             return reports.wind_world
         self.wind_watch.add(reports)
@@ -210,3 +217,12 @@ class LandingInputs:
             return None
         here = motion.world_from_body.translation + (0.0 if flown is None else flown)
         return here if np.isfinite(here).all() else None
+
+
+def _sight(motion: Motion | None) -> SightQuality:
+    """Return how well a motion is known in flight by sight."""
+    if motion is None or motion.odometry is None:
+        return SightQuality(math.inf, math.inf, False)
+    P, known = motion.odometry.covariance, motion.state in (MotionState.GOOD, MotionState.DEGRADED)
+    position, velocity = (PlaceSigma.of(P[k : k + 3, k : k + 3]).horizontal for k in (0, 6))
+    return SightQuality(position, velocity, known and motion.odometry.quality > 0)

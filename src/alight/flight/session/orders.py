@@ -84,7 +84,8 @@ class OrderSender:
         self.stop_mode = FlightMode.HOLD  # or LAND once HOLD was refused, as without a position; until guided again
         self._heading: float | None = None  # rad clockwise from north, of the nose under guidance
         self._wanted: tuple[FlightMode, int] | None = None  # mode to order, and since when it is wanted
-        self._held: tuple[Place, int] | None = None  # held position, and instant of its last order
+        # held position, instant of its last order, and resets of the estimate until then
+        self._held: tuple[Place, int, int] | None = None
         self._contact = Contact()  # with a high site
         self._site_above: float | None = None  # metres above home, of the site of this landing; None: unknown
 
@@ -178,7 +179,7 @@ class OrderSender:
             return "nothing: hold and land were refused" if self._cannot_stop else self.stop_mode.value
         self.order_mode(FlightMode.GUIDED, now_ns)
         kept = self._kept(here, now_ns)
-        self._held = kept, now_ns
+        self._held = kept, now_ns, self._vehicle.place_resets
         stay = Setpoint(np.zeros(3), None, self._nose(), speed=1.0, sink=0.5)
         self._commands.guide(stay, EstimateTie(self._local, np.zeros(3), kept))
         return "stay"
@@ -186,6 +187,8 @@ class OrderSender:
     def _kept(self, here: Place, now_ns: int) -> Place:
         """Return the position held so far, or `here` after a jump of the autopilot's estimate."""
         if self._held is None or metres_between(self._held[0], here) > 5.0:
+            return here
+        if self._held[2] != self._vehicle.place_resets:
             return here
         flown = self._vehicle.displacement(self._local, self._held[1], now_ns).vector
         return here if flown is None else self._held[0]
@@ -234,7 +237,7 @@ class OrderSender:
                 beside = math.hypot(site.way[0], site.way[1])
                 self._warn(f"the descent waits {-site.way[2]:.1f} m above the site, {beside:.1f} m beside it")
             return action
-        if self._is_high and not lands:
+        if self._touches_guided and not lands:
             over = np.array([*place[:2], place[2] - 1.5])  # below the site
             if not self._contact.is_felt(-float(site.way[2]), order.sink, self._vehicle.telemetry, now_ns):
                 return self._go(over, order, motion, now_ns)
@@ -247,7 +250,7 @@ class OrderSender:
     def _down(self, order: Order, now_ns: int) -> str:
         """Descend straight down without a reported target: the vehicle is low, and its position is unknown."""
         self._held = None
-        guided = self._is_high and self._mode is not FlightMode.LAND
+        guided = self._touches_guided and self._mode is not FlightMode.LAND
         if guided and not self._contact.is_felt(None, order.sink, self._vehicle.telemetry, now_ns):
             self.order_mode(FlightMode.GUIDED, now_ns)
             return self._sink(order)
@@ -259,14 +262,19 @@ class OrderSender:
         return f"straight down at {sink:.1f} m/s"
 
     @property
-    def _is_high(self) -> bool:
-        """Whether the site is so high above home that the autopilot's LAND would descend fast there.
+    def _touches_guided(self) -> bool:
+        """Whether the vehicle is guided to the ground, as the autopilot's LAND would come down fast, or astray.
 
-        On the last 0.7 m it would reach 1.1 m/s (ArduPilot, at 1 m/s^2; PX4 is faster).
+        It is fast where the site is high above home: on the last 0.7 m it would reach 1.1 m/s (ArduPilot, at 1 m/s^2;
+        PX4 is faster). It goes astray where GPS lies and the autopilot uses it all the same.
         """
-        here = self._vehicle.telemetry.place
-        above = self._site_above if self._site_above is not None else None if here is None else here.above_home
-        return above is not None and above > self._vehicle.firmware.high_site
+        now, firmware = self._vehicle.telemetry, self._vehicle.firmware
+        if now.by_sight and not firmware.position_sources:
+            return True
+        above = (
+            self._site_above if self._site_above is not None else None if now.place is None else now.place.above_home
+        )
+        return above is not None and above > firmware.high_site
 
     def _report(self, site: _Leg | None, now_ns: int) -> Place | None:
         """Report the site, the end of a leg, as landing target, even before LAND; return its position, None if unknown.

@@ -13,6 +13,7 @@ from alight.flight.autopilot import RemoteVehicle, on_plane
 from alight.flight.executive.bounds import Bounds
 from alight.flight.executive.executive import Executive
 from alight.flight.executive.search import Goal
+from alight.flight.live.sight import SightNavigation
 from alight.flight.session.dry_run import VehicleCommands
 from alight.flight.session.inputs import LandingInputs
 from alight.flight.session.orders import OrderSender
@@ -144,6 +145,7 @@ class LandingPilot:
         self._led = dict.fromkeys(self.delays, 0)  # newest exposures that led to an order
         warn = partial(log.note, "autopilot")
         self.orders, self._motor_stop = OrderSender(vehicle, commands, local, k, warn), MotorStop(commands, warn)
+        self.sight: SightNavigation | None = None  # sends odometry; None: it flies by GPS alone
         self._decided_ns: int | None = None
         self._written = 0, 0  # numbers of logged looks and transitions
         self._order = ""
@@ -168,8 +170,17 @@ class LandingPilot:
         """Whether the vehicle has landed or was handed over."""
         return self.state in ENDS
 
+    def on_motion(self, motion: Motion, now_ns: int) -> None:
+        """Process the motion of the newest tracked exposure, which comes at `now_ns` of our clock."""
+        self.inputs.add_motion(motion)
+        if self.sight is not None:
+            self.sight.chooses, self.sight.stays = self.in_control, self.state is FlightState.COMMIT
+            self.sight.on_motion(motion, now_ns)
+
     def on_notice(self, notice: Notice) -> None:
         """Process a notice of the autopilot; answers to commands go to `orders`."""
+        if self.sight is not None:
+            self.sight.on_notice(notice)
         if notice.kind is NoticeKind.COMMAND:
             self.orders.on_answer(notice.ticket, notice.ok, notice.t_ns)
 

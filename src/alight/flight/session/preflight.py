@@ -13,12 +13,14 @@ import numpy as np
 from alight.checks.result import CheckResult, bad, good, unknown, warning
 from alight.flight.autopilot import RemoteVehicle, StreamRate, judged_parameters, on_plane
 from alight.flight.executive.bounds import Bounds
+from alight.flight.live.sight import SightNavigation
 from alight.flight.live.speed import LASTS, Speed
 from alight.geometry import LocalFrame
 from alight.records import FIX_3D, InputError, Landed, Motion, MotionState, Rig, Telemetry, Zones, ZonesOnPlane
 from alight.settings import Settings
 
 LEAST_RATE, GOOD_RATE = 2.0, 4.0  # exposures per second
+LEAST_RATE_OF_ODOMETRY = 5.0  # a second: PX4 drops a source that is silent for 0.2 s, ArduPilot wants 4
 MOST_AGE = 1.0  # s between an exposure and its arrival
 OLD_PLACE = 0.5  # s, age of the autopilot's position above which the link or the rate is too slow
 MOST_SIGMA = 0.02  # s, uncertainty of the autopilot's clock
@@ -129,12 +131,13 @@ def judge_imu(vehicle: RemoteVehicle, wanted: float) -> CheckResult:
     return good("IMU", "samples come")
 
 
-def judge_parameters(vehicle: RemoteVehicle) -> list[CheckResult]:
+def judge_parameters(vehicle: RemoteVehicle, odometry: bool = False) -> list[CheckResult]:
     """Check the stored parameters, and begin to read what the autopilot stores if that was not begun.
 
-    There is a result for each parameter with a value that is not accepted, and one for all.
+    There is a result for each parameter with a value that is not accepted, and one for all. `odometry`: whether it is
+    sent, so that its parameters matter.
     """
-    data, table = vehicle.onboard, judged_parameters(vehicle.firmware.name)
+    data, table = vehicle.onboard, judged_parameters(vehicle.firmware.name, odometry)
     data.begin([*table, *vehicle.firmware.fence_parameters])
     if not data.parameters_over:
         return [bad("parameters", "they are being read", "wait")]
@@ -337,6 +340,19 @@ def judge_speed(speed: Speed, unjudged: float) -> CheckResult:
         return good("computer", ", ".join(facts))
     mend = "end other programs, or set a larger parallax.cell: looks and the landing wait for verdicts"
     return warning("computer", ", ".join(facts), mend)
+
+
+def judge_odometry(sight: SightNavigation) -> CheckResult:
+    """Check that odometry is sent, often enough and in time, and compare it with GPS."""
+    if (rate := sight.rate) == 0.0:
+        return bad("odometry", "none is sent yet", "see that the motion is known, and the clock of the autopilot")
+    late = 1e3 * float(np.percentile(tuple(sight.delays), 95))
+    seen = f"{rate:.1f} a second, sent {late:.0f} ms after the exposure (95 %), {sight.deviation}"
+    if rate < LEAST_RATE_OF_ODOMETRY:
+        return bad("odometry", seen, f"at least {LEAST_RATE_OF_ODOMETRY:.0f} a second are needed: use a faster camera")
+    if rate < 2.0 * LEAST_RATE_OF_ODOMETRY or late > 100.0:
+        return warning("odometry", seen, "10 a second and 100 ms or better are wanted: a faster camera or computer")
+    return good("odometry", seen)
 
 
 def judge_motion(motion: Motion | None, age: float) -> CheckResult:

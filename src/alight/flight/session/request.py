@@ -32,6 +32,7 @@ class FlightRequest:
     overwrite: bool = False
     goals: tuple[EarlierSite, ...] = ()  # places to look at before the search, in this order
     zones: Zones | None = None  # of the user
+    odometry: bool = False  # whether the motion is sent as odometry, to fly by it where GPS fails
 
     def validate(self) -> None:
         """Raise InputError, with the remedy, if no landing can be flown with these options."""

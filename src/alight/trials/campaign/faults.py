@@ -97,6 +97,14 @@ LINK_FAULTS: Mapping[str, CampaignFault] = {
     "link lost": CampaignFault(lambda t, n: t.link.cut(n["seconds"]), {"seconds": (30.0, 60.0)}, takes_control=True),
 }
 
+GPS_FAULTS: Mapping[str, CampaignFault] = {  # of landings with odometry
+    "GPS away": CampaignFault(lambda v, n: v.lose_gps(n["seconds"]), {"seconds": (5.0, 40.0)}),
+    "GPS gone": CampaignFault(lambda v, n: v.lose_gps(1e4)),
+    "GPS led away": CampaignFault(
+        lambda v, n: v.lead_gps((*_towards(n, n["speed"]), 0.0)), {"direction": TURN, "speed": (1.0, 1.0)}
+    ),
+}
+
 
 class Happenings:
     """Triggers the planned faults of a landing, and measures the flown distance. Called before every order.
@@ -130,10 +138,10 @@ class Happenings:
                 continue
             if fault.what in LINK_FAULTS:
                 LINK_FAULTS[fault.what].act(trial, fault.numbers)
-            elif FAULTS[fault.what].is_body and _time_left(self._vehicle) <= 0.0:
+            elif (kind := {**FAULTS, **GPS_FAULTS}[fault.what]).is_body and _time_left(self._vehicle) <= 0.0:
                 continue
             else:
-                FAULTS[fault.what].act(self._vehicle, fault.numbers)
+                kind.act(self._vehicle, fault.numbers)
             self._happened[k] = t
 
     @property

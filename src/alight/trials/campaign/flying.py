@@ -127,7 +127,8 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
     vehicle, appearance = checked_vehicle(conditions, settings), appearance_of(settings)
     happenings = Happenings(vehicle, conditions.faults)
     try:
-        landing = fly(vehicle, settings, appearance, happenings, conditions.firmware)
+        aided = {"odometry": True} if conditions.odometry else {}
+        landing = fly(vehicle, settings, appearance, happenings, conditions.firmware, **aided)
     except Exception as e:
         log.info("landing %d: %s", conditions.landing, traceback.format_exc())
         return failed(conditions.model_copy(update={"faults": happenings.faults}), e, met(vehicle, settings))

@@ -10,7 +10,7 @@ import numpy as np
 from alight.records.campaign import Conditions, FaultRecord, LightRecord
 from alight.records.executive import FlightState
 from alight.records.telemetry import FirmwareName
-from alight.trials.campaign.faults import FAULTS, LINK_FAULTS
+from alight.trials.campaign.faults import FAULTS, GPS_FAULTS, LINK_FAULTS
 from alight.trials.campaign.worlds import is_factory
 
 MOST_WIND = 6.0  # m/s
@@ -19,8 +19,9 @@ AT_STATES = (FlightState.APPROACH, FlightState.LOOK, FlightState.DESCEND, Flight
 
 
 def conditions_of(
-    scenes: Sequence[str], seed: int, landing: int, link_faults: float = 0.0, firmware: FirmwareName = "ardupilot"
-) -> Conditions:
+    scenes: Sequence[str], seed: int, landing: int, link_faults: float = 0.0, firmware: FirmwareName = "ardupilot",
+    odometry: bool = False,
+) -> Conditions:  # fmt: skip
     """Draw the conditions of a landing: scenes take turns, everything else is random.
 
     Args:
@@ -30,6 +31,7 @@ def conditions_of(
         link_faults: share of the landings with a fault of the link or the autopilot; all other draws are independent
             of it.
         firmware: firmware of the simulated autopilot.
+        odometry: whether odometry is sent, and GPS fails in each landing, instead of other faults of the vehicle.
     """
     stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing, 2)))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing,)))
@@ -42,9 +44,21 @@ def conditions_of(
         flight_seed=flight_seed, heading=heading, wind=(wind * math.cos(blows), wind * math.sin(blows)),
         gusts=0.1 + 0.05 * wind, gps_sigma=(gps, gps, 1.5 * gps), gps_tau=rng.uniform(30.0, 120.0),
         light=None if is_factory(scene) else drawn_light(np.random.default_rng(light)),
-        faults=((_fault(rng),) if rng.random() < 1 / 3 else ()) + _link_fault(stream, link_faults),
-        firmware=firmware,
+        faults=_own_faults(rng, odometry) + _link_fault(stream, link_faults),
+        firmware=firmware, odometry=odometry,
     )  # fmt: skip
+
+
+def _own_faults(rng: np.random.Generator, odometry: bool) -> tuple[FaultRecord, ...]:
+    """Draw a fault of the vehicle in a third of the landings or, with odometry, one of GPS in each."""
+    if not odometry:
+        return (_fault(rng),) if rng.random() < 1 / 3 else ()
+    what, state = (
+        str(rng.choice(list(GPS_FAULTS))),
+        str(rng.choice([FlightState.SEARCH.value, *(s.value for s in AT_STATES)])),
+    )
+    after, numbers = rng.uniform(0.0, 8.0), GPS_FAULTS[what].draw(rng)
+    return (FaultRecord(what=what, after=after, state=state, numbers=numbers),)
 
 
 def drawn_light(rng: np.random.Generator) -> LightRecord:

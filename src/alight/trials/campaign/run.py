@@ -55,6 +55,7 @@ class Campaign:
     settings: Settings
     link_faults: float = 0.0  # share of the landings with a fault of the link or the autopilot
     firmware: FirmwareName = "ardupilot"
+    odometry: bool = False  # whether odometry is sent, and GPS fails in each landing
 
     def __post_init__(self) -> None:
         if not 1 <= self.landings <= MOST_LANDINGS:
@@ -65,7 +66,7 @@ class Campaign:
 
     def conditions(self, landing: int) -> Conditions:
         """Draw the conditions of the landing with this number."""
-        return conditions_of(self.scenes, self.seed, landing, self.link_faults, self.firmware)
+        return conditions_of(self.scenes, self.seed, landing, self.link_faults, self.firmware, self.odometry)
 
     @property
     def head(self) -> CampaignHead:
@@ -73,7 +74,7 @@ class Campaign:
         settings = self.settings.model_dump(mode="json")
         return CampaignHead(
             alight=__version__, seed=self.seed, scenes=tuple(self.scenes), landings=self.landings, settings=settings,
-            link_faults=self.link_faults, firmware=self.firmware, sources=sources_digest(),
+            link_faults=self.link_faults, firmware=self.firmware, odometry=self.odometry, sources=sources_digest(),
             files=file_digests(self.scenes, self.settings),
         )  # fmt: skip
 
@@ -123,7 +124,8 @@ def continued(out: Path, landings: int | None = None) -> Campaign:
         settings = settings_of_run(head.settings)
     except ValueError as e:
         raise InputError(f"{out / HEAD}: its settings are damaged: {e}") from e
-    return Campaign(head.scenes, wanted_landings(out, landings), head.seed, settings, head.link_faults, head.firmware)
+    number = wanted_landings(out, landings)
+    return Campaign(head.scenes, number, head.seed, settings, head.link_faults, head.firmware, head.odometry)
 
 
 def fly_campaign(
