@@ -10,9 +10,9 @@ from typing import Any
 
 from alight.landing.zones import MapZones
 from alight.pipeline import Decision
-from alight.records import Home, InputError, PhotoRow, RunResult, Telemetry
+from alight.records import NO_ZONES, Home, InputError, PhotoRow, RunResult, Telemetry
 from alight.settings import Settings
-from alight.sources import Described, Replayed
+from alight.sources import Described
 from alight.terrain import Model
 
 FARTHEST = 50_000.0  # metres from the site: no vehicle that looks for a site flies so far
@@ -98,14 +98,15 @@ def _of_no_use(result: RunResult, home: Home) -> str:
     return ""
 
 
-def zones_of(source: Replayed, settings: Settings, file: Path | None) -> MapZones | None:
+def zones_of(source: Described, settings: Settings, file: Path | None) -> MapZones | None:
     """Read the zones of a file for the world of a source; without a file, those of a recording; None: there are none.
 
     Raises:
         InputError: the file cannot be used, or the source has no place on Earth.
     """
     if file is None:
-        return MapZones(source.zones, settings.lander.reach) if source.zones.zones else None
+        kept = getattr(source, "zones", NO_ZONES)  # events of another program may come without
+        return MapZones(kept, settings.lander.reach) if kept.zones else None
     from alight.sources.zones import read_zones
 
     zones = read_zones(file)

@@ -35,7 +35,8 @@ def check_source(
     Raises:
         InputError: there is no exposure in that part of the recording.
     """
-    sight = SightCheck(source.rig, settings.stages(source.imu_noise), seconds, start)
+    noise = getattr(source, "imu_noise", None)  # events of another program may come without
+    sight = SightCheck(source.rig, settings.stages(noise), seconds, start)
     found = gather_evidence(source.rig, sight.watch(source.events()), seconds, start, progress)
     promised = tuple(name for key, name in (("nav", "GPS/INS"), ("imu", "IMU")) if source.notes.get(key))
     ahead = -((source.notes.get("timeshift_cam_imu") or [0.0])[0] or 0.0)

@@ -1,5 +1,5 @@
 """Sources: flight logs, recordings, cameras and rasters become ordered events and maps; losses are recorded."""
 
-from alight.sources.source import Described, Replayed, Source
+from alight.sources.source import Described, Source
 
-__all__ = ["Described", "Replayed", "Source"]
+__all__ = ["Described", "Source"]

@@ -82,13 +82,6 @@ class Described(Protocol):
     def notes(self) -> dict[str, Any]: ...
 
 
-class Replayed(Described, Protocol):
-    """A source with the zones of its flight."""
-
-    @property
-    def zones(self) -> ZonesOnPlane: ...
-
-
 class Source(ABC):
     """One recording: its cameras, the origin of its world, and its events in order of time."""
 

@@ -60,7 +60,6 @@ def fly_landing(
     appearance: terrain.Model | None = None,
     happening: Callable[[Trial], None] = lambda trial: None,
     firmware: FirmwareName = "ardupilot",
-    map_all: bool = False,
     zones: ZonesOnPlane = NO_ZONES,
     odometry: bool = False,
 ) -> Landing:
@@ -72,13 +71,12 @@ def fly_landing(
         appearance: model of the appearance of ground; None: no model.
         happening: called before every decision; it may act on the vehicle, the autopilot and the link.
         firmware: firmware of the simulated autopilot.
-        map_all: whether to make and judge the map of the whole flight at its end.
         zones: zones of the user, in the world of the vehicle.
         odometry: whether odometry is sent, and the autopilot flies by it where GPS fails.
     """
     trial = Trial(vehicle, settings, appearance, firmware, zones, odometry=odometry)
     trial.fly(happening)
-    return trial.result(map_all)
+    return trial.result()
 
 
 class _MeasuredPipeline(Pipeline):
