@@ -93,6 +93,18 @@ def test_where_sight_fails_too_it_ends_as_without_odometry(dialect: str) -> None
     assert r.run(20.0, lambda: r.doing is Doing.LAND)
 
 
+def test_pictures_that_show_no_motion_are_sent_as_failed() -> None:
+    """ArduPilot does not arm without odometry, and on the ground the pictures show nothing."""
+    r = flying(odometry=True)
+    r.quality = 0.0
+    r.run(1.0)
+    before = len(r.wire)
+    r.run(2.0)
+    sent = [m for _, m in r.wire[before:] if m.get_type() == "ODOMETRY"]
+    assert len(sent) > 5
+    assert {m.quality for m in sent} == {-1}
+
+
 def test_a_source_that_is_refused_is_not_used() -> None:
     r = flying(odometry=True)
     r.sim.estimator.select = lambda number: False  # type: ignore[method-assign]

@@ -30,7 +30,8 @@ class SightNavigation:
 
     A constant shift leads from the map frame to the autopilot's local coordinates. It is made anew, and a reset is
     counted, if the pose may have jumped, and where flight by sight begins: from there the autopilot goes on without a
-    jump.
+    jump. While the pictures do not show the motion, as on the ground, the quality is none: the autopilot ignores such
+    poses, but ArduPilot does not arm without any.
 
     Args:
         vehicle: the vehicle that reports.
@@ -91,12 +92,12 @@ class SightNavigation:
             self._last_shift, self._compared_ns = shift, motion.t_ns
         if self.chooses:
             self._choose(motion, sees, now_ns)
-        if sees and self._shift is not None:
+        if self._shift is not None:
             pose = ExternalPose(
                 motion.t_ns, here + self._shift, motion.world_from_body.rotation, motion.velocity_world,
-                odometry.angular_velocity_body, odometry.covariance, odometry.quality, self._resets,
+                odometry.angular_velocity_body, odometry.covariance, odometry.quality if sees else 0.0, self._resets,
             )  # fmt: skip
-            if self._commands.send_odometry(pose):
+            if self._commands.send_odometry(pose) and sees:
                 self.delays.append((now_ns - motion.t_ns) * 1e-9)
                 self._sent_ns.append(now_ns)
 

@@ -20,7 +20,6 @@ from alight.records import FIX_3D, InputError, Landed, Motion, MotionState, Rig,
 from alight.settings import Settings
 
 LEAST_RATE, GOOD_RATE = 2.0, 4.0  # exposures per second
-LEAST_RATE_OF_ODOMETRY = 5.0  # a second: PX4 drops a source that is silent for 0.2 s, ArduPilot wants 4
 MOST_AGE = 1.0  # s between an exposure and its arrival
 OLD_PLACE = 0.5  # s, age of the autopilot's position above which the link or the rate is too slow
 MOST_SIGMA = 0.02  # s, uncertainty of the autopilot's clock
@@ -348,9 +347,9 @@ def judge_odometry(sight: SightNavigation) -> CheckResult:
         return bad("odometry", "none is sent yet", "see that the motion is known, and the clock of the autopilot")
     late = 1e3 * float(np.percentile(tuple(sight.delays), 95))
     seen = f"{rate:.1f} a second, sent {late:.0f} ms after the exposure (95 %), {sight.deviation}"
-    if rate < LEAST_RATE_OF_ODOMETRY:
-        return bad("odometry", seen, f"at least {LEAST_RATE_OF_ODOMETRY:.0f} a second are needed: use a faster camera")
-    if rate < 2.0 * LEAST_RATE_OF_ODOMETRY or late > 100.0:
+    if rate < GOOD_RATE:  # ArduPilot's least; PX4 drops a source that is silent for 0.2 s
+        return bad("odometry", seen, f"at least {GOOD_RATE:.0f} a second are needed: use a faster camera")
+    if rate < 2.5 * GOOD_RATE or late > 100.0:
         return warning("odometry", seen, "10 a second and 100 ms or better are wanted: a faster camera or computer")
     return good("odometry", seen)
 
