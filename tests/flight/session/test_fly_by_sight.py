@@ -93,6 +93,20 @@ def test_where_sight_fails_too_it_ends_as_without_odometry(dialect: str) -> None
     assert r.run(20.0, lambda: r.doing is Doing.LAND)
 
 
+def test_a_target_is_not_reported_where_the_pictures_show_no_motion() -> None:
+    """In the last half metre a pose that diverged would lead the vehicle away: it comes straight down."""
+    r = flying("ardupilot", odometry=True)
+    assert r.fly(S.COMMIT)
+    lose_gps(r)
+    assert r.run(30.0, lambda: r.truth()[2] < 1.0)
+    r.quality = 0.0
+    r.run(0.3)
+    before = len(r.wire)
+    assert r.run(20.0, lambda: r.state is S.LANDED)
+    assert not [m for _, m in r.wire[before:] if m.get_type() == "LANDING_TARGET"]
+    assert off_place(r) < 1.0
+
+
 def test_pictures_that_show_no_motion_are_sent_as_failed() -> None:
     """ArduPilot does not arm without odometry, and on the ground the pictures show nothing."""
     r = flying(odometry=True)

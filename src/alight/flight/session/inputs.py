@@ -161,7 +161,8 @@ class LandingInputs:
             self._note("autopilot", f"its estimator has {'a' if located else 'no'} position on Earth")
         self._had_position = located
         self._flying |= in_control
-        known = state in (MotionState.GOOD, MotionState.DEGRADED)
+        sight = _sight(m) if reports.by_sight else None
+        known = state in (MotionState.GOOD, MotionState.DEGRADED) and (sight is None or sight.sees)
         rebooted = self._vehicle.starts != self._starts
         position = self._position(m, now_ns) if m is not None and known else None
         now = Situation(
@@ -180,7 +181,7 @@ class LandingInputs:
             battery=self._battery.share(reports, now_ns * 1e-9),
             wind=self._wind(reports),
             holds=reports.can_hold,
-            sight=_sight(m) if reports.by_sight else None,
+            sight=sight,
             lands=reports.mode is FlightMode.LAND,
             steers=self._vehicle.firmware.takes_targets,
             offset=None if m is None or position is None else self._offset(m),
