@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -74,7 +75,8 @@ class JudgedParts:
         """Read the named measures of a part; others are NaN."""
         s, (box, within) = self.stages, self.windows.wider(core, self.windows.farthest)
         grid = self.grid.part(box)
-        found = dict.fromkeys((*SAFE_BANDS, *MEASURES, "settles_at"), np.broadcast_to(np.float32(np.nan), grid.shape))
+        nothing = np.broadcast_to(np.float32(np.nan), grid.shape)
+        found: dict[str, Any] = dict.fromkeys((*SAFE_BANDS, *MEASURES, "settles_at"), nothing)
         for file, bands in (("safe.tif", SAFE_BANDS), ("hazards.tif", MEASURES)):
             chosen = [name for name in bands if name in names]
             values = read_box(self.folder / file, box, [bands.index(name) + 1 for name in chosen])

@@ -179,7 +179,7 @@ class LargeJudgement:
         about = f"{grid.cols} x {grid.rows} cells, judged in windows; the clearance is measured up to {farthest:.3g} m"
         every = self._windows.every
         about += f"; this page shows one of {every} rows and columns" if every > 1 else ""
-        notes = {"heights": self._ground.settled, "ground": GROUND_UNSEEN, "raster": about}
+        notes: dict[str, object] = {"heights": self._ground.settled, "ground": GROUND_UNSEEN, "raster": about}
         return notes if self._limits is None else notes | {"zones": self._limits.plane.note}
 
     def _warnings(self) -> list[str]:

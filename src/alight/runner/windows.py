@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alight.geometry import Grid
 from alight.geometry.grid import Box
@@ -77,7 +76,7 @@ class Overview:
     def __init__(self, grid: Grid, every: int) -> None:
         rows, cols = (-(-n // every) for n in grid.shape)
         self.grid, self._every = replace(grid, cell=grid.cell * every, rows=rows, cols=cols), every
-        self.fields: dict[str, NDArray[Any]] = {}  # (R, C) each
+        self.fields: dict[str, Any] = {}  # (R, C) arrays
 
     def add(self, core: Box, fields: dict[str, Any]) -> None:
         """Keep every n-th row and column of the arrays among the fields of a window."""
