@@ -110,9 +110,12 @@ class Part:
 
     def score(self, wanted: Wanted) -> F64:
         """Compute the score of each cell (G11) by quality, clearance, P(safe) and distance; -inf if not searched."""
-        hazards, settings, clearance = self.hazards, self.settings, self.clearance(wanted)
+        hazards, settings = self.hazards, self.settings
         allowed = np.zeros(hazards.grid.shape, np.bool_)
         allowed[self.core] = wanted.among(hazards.reasons[self.core])
+        if not allowed.any():
+            return np.full(allowed.shape, -np.inf)
+        clearance = self.clearance(wanted)
         allowed &= keeps_margin(clearance, settings.margin) & np.isfinite(hazards.quality)
         room = np.minimum(clearance / settings.roomy, 1.0)
         doubt = 1 - np.nan_to_num(hazards.p_safe).astype(np.float64)
@@ -138,7 +141,7 @@ class Part:
         score, hazards = self.score(wanted), self.hazards
         if hazards.preferred is not None and np.isfinite(scale.best):
             score[hazards.preferred] += scale.lift
-        if not wanted.candidates or not np.isfinite(scale.best):
+        if not wanted.candidates or not np.isfinite(score).any():
             return score
         chance = disc_mean(np.nan_to_num(hazards.p_safe), self.settings.margin, hazards.grid.cell)
         steps = np.floor(chance / self.settings.chance_step)
