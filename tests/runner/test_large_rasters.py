@@ -12,7 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from written_raster import write
 
 from alight.cli import call
-from alight.jobs import InTurn
+from alight.cluster import open_jobs
+from alight.jobs import InTurn, Jobs
 from alight.outputs.folder import new_work, prepare_folder
 from alight.raster import clearance_of
 from alight.records import Hazard, InputError, RunResult
@@ -36,7 +37,9 @@ def rough_ground(rows: int = 600, cols: int = 600, seed: int = 0) -> np.ndarray:
     return z.astype(np.float32)
 
 
-def both(dem: Path, folder: Path, *assignments: str, zones: Path | None = None) -> tuple[RunResult, RunResult]:
+def both(
+    dem: Path, folder: Path, *assignments: str, zones: Path | None = None, jobs: Jobs | None = None
+) -> tuple[RunResult, RunResult]:
     """Judge a raster as a whole and in windows, and write the results to `whole` and `parts`."""
     settings = for_surveyed_heights(load_settings("", assignments))
     whole = judge_ground(read_ground(dem, "0.01", None, 0.05), settings, dem.name, zones)
@@ -44,7 +47,8 @@ def both(dem: Path, folder: Path, *assignments: str, zones: Path | None = None) 
     out = folder / "parts"
     prepare_folder(out)
     ground = read_large(dem, "0.01", settings)
-    parts = LargeJudgement(ground, settings, new_work(out), zones, SIDE).judge(dem.name, InTurn(), lambda *_: None)
+    large = LargeJudgement(ground, settings, new_work(out), zones, SIDE)
+    parts = large.judge(dem.name, jobs or InTurn(), lambda *_: None)
     parts.save(out)
     return whole.record, parts.record
 
@@ -122,6 +126,19 @@ def test_zones_count_in_windows_as_in_the_whole(tmp_path: Path) -> None:
     assert_alike(tmp_path)
     assert places(parts) == places(whole)
     assert any(s.preferred for s in parts.sites.listed)
+
+
+@pytest.mark.filterwarnings("ignore")  # the cluster's own
+def test_a_cluster_judges_the_same(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
+    dem = write(tmp_path / "dem.tif", rough_ground(300, 300), nodata=-9999.0)
+    with (
+        distributed.LocalCluster(1, threads_per_worker=1, dashboard_address=None) as cluster,
+        open_jobs(cluster.scheduler_address) as jobs,
+    ):
+        whole, parts = both(dem, tmp_path, jobs=jobs)
+    assert_alike(tmp_path)
+    assert places(parts) == places(whole)
 
 
 def test_open_ground_has_its_clearance_up_to_a_bound(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ Cell = tuple[int, int]  # row, column in the whole map
 DOUBT, AVOID = Hazard.DOUBT, Hazard.AVOID
 
 
-class Wanted(NamedTuple):
+class WantedTouchdowns(NamedTuple):
     """Which touchdowns are searched, by the reasons against them."""
 
     reasons: Hazard  # that they have
@@ -38,11 +38,11 @@ class Wanted(NamedTuple):
         return np.asarray((reasons & ~np.uint16(self.or_not)) == np.uint16(self.reasons))
 
 
-SAFE = Wanted(Hazard(0))
+SAFE = WantedTouchdowns(Hazard(0))
 # a candidate's clearance is the distance to refused cells; undecided cells do not reduce it
-UNDECIDED = Wanted(DOUBT, no_limit=DOUBT | AVOID, candidates=True)
-AVOIDED = Wanted(AVOID, DOUBT, DOUBT | AVOID, candidates=True)
-AVOIDED_SITES = Wanted(AVOID, no_limit=AVOID)
+UNDECIDED = WantedTouchdowns(DOUBT, no_limit=DOUBT | AVOID, candidates=True)
+AVOIDED = WantedTouchdowns(AVOID, DOUBT, DOUBT | AVOID, candidates=True)
+AVOIDED_SITES = WantedTouchdowns(AVOID, no_limit=AVOID)
 
 
 class Scale(NamedTuple):
@@ -88,7 +88,7 @@ class Part:
     core: Box = (slice(None), slice(None))
     farthest: float = np.inf  # metres, largest clearance that is looked for
 
-    def clearance(self, wanted: Wanted) -> F32:
+    def clearance(self, wanted: WantedTouchdowns) -> F32:
         """Return the clearance of each touchdown, (R, C) metres."""
         if not wanted.no_limit:
             return self.hazards.clearance
@@ -101,14 +101,14 @@ class Part:
         return {}
 
     @cached_property
-    def _ranked(self) -> dict[tuple[Wanted, Scale], F64]:
+    def _ranked(self) -> dict[tuple[WantedTouchdowns, Scale], F64]:
         return {}
 
     def _clearance(self, no_limit: Hazard) -> F32:
         free = (self.hazards.reasons & ~np.uint16(no_limit)) == 0
         return np.minimum(clearance_of(free, self.hazards.grid.cell), np.float32(self.farthest))
 
-    def score(self, wanted: Wanted) -> F64:
+    def score(self, wanted: WantedTouchdowns) -> F64:
         """Compute the score of each cell (G11) by quality, clearance, P(safe) and distance; -inf if not searched."""
         hazards, settings = self.hazards, self.settings
         allowed = np.zeros(hazards.grid.shape, np.bool_)
@@ -127,7 +127,7 @@ class Part:
             score -= settings.distance_weight * distance
         return np.where(allowed, score, -np.inf)
 
-    def scale(self, wanted: Wanted) -> Scale:
+    def scale(self, wanted: WantedTouchdowns) -> Scale:
         """Return the range of the scores."""
         score, preferred = self.score(wanted), self.hazards.preferred
         found = score[np.isfinite(score)]
@@ -136,7 +136,7 @@ class Part:
         above = -np.inf if preferred is None else float(score[preferred].max(initial=-np.inf))
         return Scale(float(found.min()), float(found.max()), above)
 
-    def ranked(self, wanted: Wanted, scale: Scale) -> F64:
+    def ranked(self, wanted: WantedTouchdowns, scale: Scale) -> F64:
         """Compute what ranks the cells, (R, C): the score or, for candidates, mean P(safe) in steps, then the score."""
         score, hazards = self.score(wanted), self.hazards
         if hazards.preferred is not None and np.isfinite(scale.best):
@@ -147,7 +147,7 @@ class Part:
         steps = np.floor(chance / self.settings.chance_step)
         return np.where(np.isfinite(score), steps + 0.99 * np.exp(score - scale.best), -np.inf)
 
-    def best(self, wanted: Wanted, scale: Scale, taken: Sequence[Best] = (), apart: float = 0.0) -> Best:
+    def best(self, wanted: WantedTouchdowns, scale: Scale, taken: Sequence[Best] = (), apart: float = 0.0) -> Best:
         """Return the best cell of the part, more than `apart` metres from all `taken`."""
         if (wanted, scale) not in self._ranked:
             self._ranked[wanted, scale] = self.ranked(wanted, scale)
@@ -232,10 +232,10 @@ class WholeMap:
         return self.whole
 
 
-class Search:
+class SiteSearch:
     """Search of touchdowns of one kind."""
 
-    def __init__(self, ground: SearchedMap, wanted: Wanted) -> None:
+    def __init__(self, ground: SearchedMap, wanted: WantedTouchdowns) -> None:
         self.ground, self._wanted, self._scale = ground, wanted, Scale()
         if wanted.candidates or ground.preferring:
             for scale in ground.of_parts(lambda part: part.scale(wanted), range(len(ground.cores))):

@@ -18,9 +18,9 @@ from alight.landing.search import (
     Best,
     Cell,
     Part,
-    Search,
     SearchedMap,
-    Wanted,
+    SiteSearch,
+    WantedTouchdowns,
     WholeMap,
 )
 from alight.raster import DiscWindow, disc_window
@@ -93,7 +93,7 @@ def _towards(place: F64, vehicle: F64) -> F64:
     return way / distance if distance > 1e-3 else np.array([0.0, 1.0])
 
 
-def _site(part: Part, rank: int, cell: Cell, grid: Grid, wanted: Wanted) -> Site:
+def _site(part: Part, rank: int, cell: Cell, grid: Grid, wanted: WantedTouchdowns) -> Site:
     """Build the site or candidate at a cell; a candidate gets its doubt and the view that would settle it.
 
     `grid`: of the whole map.
@@ -165,7 +165,7 @@ def _heading(east: float, north: float, observer: Observer | None) -> float:
     return math.atan2(east - observer.position[0], north - observer.position[1]) % (2 * math.pi)
 
 
-def _spread(search: Search, count: int, apart: float, taken: Sequence[Best]) -> list[Best]:
+def _spread(search: SiteSearch, count: int, apart: float, taken: Sequence[Best]) -> list[Best]:
     """Return up to `count` best cells, best first, spread over the judged ground; nearer ones if others are few."""
     if count <= 0:
         return []
@@ -209,15 +209,15 @@ def choose_sites(
 def find_sites(ground: SearchedMap, settings: SitesSettings, lander: Lander) -> Sites:
     """Rank the sites and candidates of a map that is at hand as a whole or in parts, without the reason for none."""
     apart, count = separation(settings, lander), settings.count
-    kind, safe = SAFE, Search(ground, SAFE).peaks(count, apart)
-    undecided = _spread(Search(ground, UNDECIDED), count - len(safe), apart, safe) if len(safe) < count else []
+    kind, safe = SAFE, SiteSearch(ground, SAFE).peaks(count, apart)
+    undecided = _spread(SiteSearch(ground, UNDECIDED), count - len(safe), apart, safe) if len(safe) < count else []
     listed = [(UNDECIDED, best.cell) for best in undecided]
     if ground.zoned:
         if not safe and not undecided:
-            kind, safe = AVOIDED_SITES, Search(ground, AVOIDED_SITES).peaks(count, apart)
+            kind, safe = AVOIDED_SITES, SiteSearch(ground, AVOIDED_SITES).peaks(count, apart)
         if (left := count - len(safe) - len(undecided)) > 0:
             taken = [*safe, *undecided]
-            listed += [(AVOIDED, best.cell) for best in _spread(Search(ground, AVOIDED), left, apart, taken)]
+            listed += [(AVOIDED, best.cell) for best in _spread(SiteSearch(ground, AVOIDED), left, apart, taken)]
     listed = [(kind, best.cell) for best in safe] + listed
     made = tuple(_site(ground.about(at), n, at, ground.grid, wanted) for n, (wanted, at) in enumerate(listed, 1))
     return Sites(made[: len(safe)], candidates=made[len(safe) :])

@@ -141,7 +141,7 @@ def profile_of(raster: RasterFile, crs: CRS) -> dict[str, Any]:
     }
 
 
-def describe(dataset: Any, raster: RasterFile) -> None:
+def describe_bands(dataset: Any, raster: RasterFile) -> None:
     """Write names, units, tags and colours of the bands into an open file."""
     dataset.descriptions = tuple(raster.names)
     dataset.units = tuple(raster.units or [""] * len(raster.bands))
@@ -157,7 +157,7 @@ def encode(raster: RasterFile, crs: CRS) -> bytes:
     with MemoryFile() as memory:
         with memory.open(**profile_of(raster, crs), **options, overview_resampling=raster.resampling) as dataset:
             dataset.write(raster.bands)
-            describe(dataset, raster)
+            describe_bands(dataset, raster)
             if raster.mask is not None:
                 dataset.colorinterp = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
                 dataset.write_mask(raster.mask)

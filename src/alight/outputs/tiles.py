@@ -18,7 +18,7 @@ from rasterio.windows import Window
 
 from alight.geometry.grid import Box
 from alight.outputs.atomic_write import ANOTHER
-from alight.outputs.rasters import RasterFile, describe, profile_of
+from alight.outputs.rasters import RasterFile, describe_bands, profile_of
 from alight.raster import unreadable
 from alight.records import OutputError
 
@@ -45,7 +45,7 @@ class TiledFile:
         options = {"driver": "GTiff", "tiled": True, "interleave": "band", "sparse_ok": True, "bigtiff": "if_safer"}
         options |= {"zlevel": 1, "predictor": 3 if empty.dtype.kind == "f" else 2}
         self._dataset: Any = rasterio.open(path, "w", **profile_of(self._raster, crs), **options)
-        describe(self._dataset, self._raster)
+        describe_bands(self._dataset, self._raster)
 
     def __enter__(self) -> TiledFile:
         return self

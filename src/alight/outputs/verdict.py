@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rasterio.crs import CRS
@@ -88,9 +88,14 @@ def judged_rasters(hazards: HazardMap) -> dict[str, Callable[[], rasters.RasterF
     }
 
 
-def _contents(
-    result: RunResult, plane: RasterPlane | None, sharpened: bool, made: Callable[[str], Path] | None
-) -> Contents:
+class MadeRasters(NamedTuple):
+    """Rasters of a judgement that were written while a large raster was judged, and counts of its cells."""
+
+    folder: Path  # of the files, which are moved
+    tally: Tally
+
+
+def _contents(result: RunResult, plane: RasterPlane | None, sharpened: bool, made: MadeRasters | None) -> Contents:
     """Return every file but run.json, in the order of writing, or why it is not written; see `write_judgement`."""
     hazards, elevation = result.hazards_as_mapped, result.elevation
     assert hazards is not None
@@ -101,7 +106,8 @@ def _contents(
         return lambda: rasters.encode(*written_on(make(), plane))
 
     files: Contents = {
-        n: tif(make) if made is None else partial(made, n) for n, make in judged_rasters(hazards).items()
+        n: tif(make) if made is None else partial(made.folder.joinpath, n)
+        for n, make in judged_rasters(hazards).items()
     }
     files |= {
         "heights.tif": tif(partial(_heights, elevation)) if sharpened else "no image made the heights finer",
@@ -118,8 +124,7 @@ def write_judgement(
     plane: RasterPlane | None,
     sharpened: bool,
     inputs: Sequence[Path] = (),
-    tally: Tally | None = None,
-    made: Callable[[str], Path] | None = None,
+    made: MadeRasters | None = None,
 ) -> list[Path]:
     """Write safe.tif, hazards.tif, reasons.tif, sites.geojson, report.html and run.json; return the paths written.
 
@@ -128,11 +133,10 @@ def write_judgement(
         out, overwrite, inputs: see `folder.write_folder`, also for errors.
         plane: coordinates of the input raster; None: local ones.
         sharpened: whether an image made the heights finer, so that `heights.tif` is added.
-        tally: counts of the cells, if the result has only some of them; None: it has all.
-        made: returns the finished file of a name, which is moved; None: the rasters are made from the result.
+        made: rasters of all cells, if the result has only some of them; None: they are made from the result.
     """
     contents = _contents(result, plane, sharpened, made)
     hazards = result.hazards_as_mapped
     assert hazards is not None
-    counts = tally or Tally.of(hazards)
-    return write_folder(contents, lambda missing: _summary(result, plane, counts, missing), out, overwrite, inputs)
+    tally = Tally.of(hazards) if made is None else made.tally
+    return write_folder(contents, lambda missing: _summary(result, plane, tally, missing), out, overwrite, inputs)

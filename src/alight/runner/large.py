@@ -21,7 +21,7 @@ from alight.jobs import InTurn, Jobs, Sent, Task
 from alight.landing.sites import find_sites, why_no_site
 from alight.landing.zones import MapZones
 from alight.outputs.tiles import TiledFile
-from alight.outputs.verdict import MEASURES, judged_rasters, write_judgement, written_on
+from alight.outputs.verdict import MEASURES, MadeRasters, judged_rasters, write_judgement, written_on
 from alight.records import NO_ZONES, HazardMap, InputError, RunResult, Tally
 from alight.result import Result
 from alight.runner.judge import GROUND_UNSEEN, too_wide, zones_on
@@ -119,10 +119,9 @@ class LargeJudgement:
             warnings=self._warnings(),
             timings=dict(zip(("hazards", "sites"), [[float(s)] for s in np.diff(clock)], strict=True)),
         )
-        writer = partial(
-            write_judgement, plane=self._ground.plane, sharpened=False, inputs=self._ground.files, tally=self.tally,
-            made=self._folder.joinpath,
-        )  # fmt: skip
+        made = MadeRasters(self._folder, self.tally)
+        plane, files = self._ground.plane, self._ground.files
+        writer = partial(write_judgement, plane=plane, sharpened=False, inputs=files, made=made)
         return Result(record, writer)
 
     def _write_rasters(self, jobs: Jobs, progress: Progress) -> None:
