@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import threading
+import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache, reduce
 from typing import Any, NamedTuple, TypeVar
 
@@ -20,6 +23,19 @@ Float = TypeVar("Float", bound=np.floating[Any])
 RIM = float(np.finfo(np.float32).eps)
 LEAST_SHARE = np.float32(1e-3)  # least share of a Gaussian's weight on known cells for a mean
 _LOG_LEVELS = np.log(np.arange(256, dtype=np.float32) + np.float32(2.0))  # + 2: noise in dark pixels gives no contrast
+
+
+_FILTERS = threading.Lock()
+
+
+@contextmanager
+def placeless_rasters() -> Iterator[None]:
+    """Keep rasterio from warning of rasters without a place; by one thread at a time, as filters are of the process."""
+    from rasterio.errors import NotGeoreferencedWarning
+
+    with _FILTERS, warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
 
 
 def unreadable() -> tuple[type[Exception], ...]:

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -16,6 +16,10 @@ from alight.cli.app import ExitCode, app
 from alight.cli.terminal import print_answer, print_line, print_stderr, progress_bar, save_result
 
 if TYPE_CHECKING:
+    from alight.records import Tally
+    from alight.result import Result
+    from alight.settings import Settings
+    from alight.sources.raster_plane import RasterPlane
     from alight.training.confusion import Confusion
 
 log = logging.getLogger(__name__)
@@ -192,26 +196,27 @@ class HazardsOptions(options.ResultOptions):
     lander: Annotated[
         Path | None, typer.Option(metavar="lander.yaml", help="Keys of the lander, as under 'lander' in the settings.")
     ] = None
+    scheduler: options.Scheduler = None
+
+
+class _JudgedRaster(NamedTuple):
+    """A judgement, the plane of its raster, and counts of all cells."""
+
+    result: Result
+    plane: RasterPlane | None
+    tally: Tally | None = None  # None: the result has all cells, and they are counted in it
 
 
 @app.command("hazards")
 @options.command_of(HazardsOptions)
 def judge_raster(o: HazardsOptions) -> None:
     """Judge any height raster: P(safe) and reasons of each cell, and the landing sites for the lander."""
-    from alight.loop_forms import compile_loops
-    from alight.outputs.folder import prepare_folder
-    from alight.runner import judge
-    from alight.sources.raster import read_ground
+    from alight import records
+    from alight.runner import judge, large
 
     chosen = judge.for_surveyed_heights(o.read_settings(before=_lander(o.lander) if o.lander else ()))
-    ground = read_ground(o.dem, o.sigma, o.image, chosen.hazards.usual_sigma)
-    prepare_folder(o.out, o.force, [*ground.files, *([o.zones] if o.zones else [])])
-    with progress_bar() as report:
-        compile_loops("hazards", progress=report)
-        report("judging", 0.0)
-        judged = judge.judge_ground(ground, chosen, o.dem.name, o.zones)
-        report("judging", 1.0)
-    result, plane = judged.record, ground.plane
+    judged, plane, tally = (_in_windows if o.image is None and large.is_large(o.dem) else _as_whole)(o, chosen)
+    result = judged.record
     assert result.hazards is not None
     assert plane is not None
 
@@ -219,15 +224,53 @@ def judge_raster(o: HazardsOptions) -> None:
         x, y = plane.in_crs(position[0], position[1])
         return f"east {x:.2f} north {y:.2f}"
 
-    share = 100 * float((result.hazards.reasons == 0).mean())
+    tally = tally or records.Tally.of(result.hazards)
+    share = 100 * tally.safe / tally.cells
     for w in result.warnings:
         print_stderr(f"warning: {w}")
     print_answer(result.sites, place, f", {share:.1f} % is safe")
-    for name in ("heights", "ground", "zones"):
+    for name in ("heights", "raster", "ground", "zones"):
         if name in result.notes:
             print_line(f"{name.upper()}  {result.notes[name]}")
     judged.save(o.out, o.force)
     print_line(f"report: {o.out / 'report.html'}")
+
+
+def _as_whole(o: HazardsOptions, chosen: Settings) -> _JudgedRaster:
+    """Judge a raster that is held in memory."""
+    from alight.loop_forms import compile_loops
+    from alight.outputs.folder import prepare_folder
+    from alight.runner.judge import judge_ground
+    from alight.sources.raster import read_ground
+
+    ground = read_ground(o.dem, o.sigma, o.image, chosen.hazards.usual_sigma)
+    prepare_folder(o.out, o.force, [*ground.files, *([o.zones] if o.zones else [])])
+    with progress_bar() as report:
+        compile_loops("hazards", progress=report)
+        report("judging", 0.0)
+        judged = judge_ground(ground, chosen, o.dem.name, o.zones)
+        report("judging", 1.0)
+    return _JudgedRaster(judged, ground.plane)
+
+
+def _in_windows(o: HazardsOptions, chosen: Settings) -> _JudgedRaster:
+    """Judge a large raster in windows."""
+    from alight.cluster import open_jobs
+    from alight.loop_forms import compile_loops
+    from alight.outputs.folder import new_work, prepare_folder, remove_work
+    from alight.runner.large import LargeJudgement, read_large
+
+    ground = read_large(o.dem, o.sigma, chosen)
+    prepare_folder(o.out, o.force, [*ground.files, *([o.zones] if o.zones else [])])
+    judgement = LargeJudgement(ground, chosen, new_work(o.out), o.zones)
+    try:
+        with open_jobs(o.scheduler) as jobs, progress_bar() as report:
+            compile_loops("hazards", progress=report)
+            judged = judgement.judge(o.dem.name, jobs, report)
+    except BaseException:
+        remove_work(o.out)
+        raise
+    return _JudgedRaster(judged, ground.plane, judgement.tally)
 
 
 def _lander(file: Path) -> list[str]:

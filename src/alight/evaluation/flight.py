@@ -21,7 +21,7 @@ from alight.settings import Lander, Settings
 from alight.sources.heights import words_of
 from alight.sources.opened_raster import open_raster, read_on
 from alight.sources.raster_band import band_of_heights
-from alight.sources.raster_plane import metric_plane
+from alight.sources.raster_plane import plane_in_memory
 from alight.sources.source import Trajectory
 from alight.sources.tum import read_tum
 from alight.spread import nmad
@@ -64,7 +64,7 @@ def read_flight_truth(folder: Path, local: LocalFrame | None = None) -> FlightTr
         if not path.exists():
             raise InputError(f"{path}: missing; --truth takes a flight with truth/dem.tif and truth/class.tif")
     with open_raster(paths[0]) as raster:
-        plane, band = metric_plane(raster), band_of_heights(raster)
+        plane, band = plane_in_memory(raster), band_of_heights(raster)
         if local is not None and (plane.metres != 1.0 or not plane.lies_in(local)):
             raise InputError(
                 f"{raster.label}: lies in {plane.settled}, not in the flight's own coordinates; mend it with: gdalwarp "

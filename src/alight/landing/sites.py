@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from alight.arrays import F32, F64, Mask
+from alight.arrays import F64
 from alight.geometry import Grid
-from alight.raster import DiscWindow, clearance_of, disc_mean, disc_window
+from alight.landing.search import (
+    AVOIDED,
+    AVOIDED_SITES,
+    SAFE,
+    UNDECIDED,
+    Best,
+    Cell,
+    Part,
+    SearchedMap,
+    SiteSearch,
+    WantedTouchdowns,
+    WholeMap,
+)
+from alight.raster import DiscWindow, disc_window
 from alight.records import (
     Doubt,
     ElevationMap,
@@ -19,13 +33,12 @@ from alight.records import (
     Observer,
     Site,
     Sites,
+    Tally,
     Terrain,
     TerrainMap,
-    keeps_margin,
 )
 from alight.settings import Lander, SitesSettings
 
-Cell = tuple[int, int]  # row, column
 RADII_APART = 4.0  # least distance of two sites in footprint radii: one hazard must not make both unusable
 REASON_WORDS = {
     Hazard.ROUGHNESS: "is too rough",
@@ -80,93 +93,64 @@ def _towards(place: F64, vehicle: F64) -> F64:
     return way / distance if distance > 1e-3 else np.array([0.0, 1.0])
 
 
-@dataclass(frozen=True, eq=False)
-class _Choice:
-    hazards: HazardMap
-    land_cover: TerrainMap | None
-    elevation: ElevationMap
-    settings: SitesSettings
-    lander: Lander
-    observer: Observer | None
+def _site(part: Part, rank: int, cell: Cell, grid: Grid, wanted: WantedTouchdowns) -> Site:
+    """Build the site or candidate at a cell; a candidate gets its doubt and the view that would settle it.
 
-    def score(self, allowed: Mask, clearance: F32) -> F64:
-        """Compute the score of each cell (G11) by quality, clearance (R, C), P(safe), distance; -inf if not allowed."""
-        hazards, settings = self.hazards, self.settings
-        allowed = allowed & keeps_margin(clearance, settings.margin) & np.isfinite(hazards.quality)
-        room = np.minimum(clearance / settings.roomy, 1.0)
-        doubt = 1 - np.nan_to_num(hazards.p_safe).astype(np.float64)
-        score = hazards.quality + room - settings.doubt_weight * doubt
-        if self.observer is not None and settings.distance_weight > 0:
-            east, north = hazards.grid.xy()
-            vehicle = self.observer.position
-            distance = np.hypot(east[None, :] - vehicle[0], north[:, None] - vehicle[1])
-            score -= settings.distance_weight * distance
-        score = np.where(allowed, score, -np.inf)
-        if hazards.preferred is not None and allowed.any():
-            score[hazards.preferred] += np.ptp(score[allowed]) + 1.0  # above all others
-        return score
+    `grid`: of the whole map.
+    """
+    hazards, at = part.hazards, (cell[0] - part.first[0], cell[1] - part.first[1])
+    room, candidate = float(part.clearance(wanted)[at]), wanted.candidates
+    east, north = grid.east + cell[1] * grid.cell, grid.north - cell[0] * grid.cell
+    up, sigma = _height_at(part, east, north)
+    factors: dict[Doubt, float] = {
+        "relief": float(hazards.p_relief[at]),
+        "obstacle": float(hazards.p_obstacle[at]),
+        "ground": float(hazards.p_ground[at]),
+        "wires": 1.0 if hazards.p_wires is None else float(hazards.p_wires[at]),
+    }
+    doubt: Doubt = min(factors, key=lambda k: np.nan_to_num(factors[k], nan=1.0))
+    reasons, avoid = Hazard(int(hazards.reasons[at])), ""
+    if Hazard.AVOID in reasons and hazards.zone is not None:
+        avoid = hazards.zone_labels[hazards.zone[at] - 1]
+        doubt = doubt if Hazard.DOUBT in reasons else "zone"
+    look = None
+    if candidate and part.observer is not None:
+        place, settles_at = np.array([east, north, up]), float(hazards.settles_at[at])
+        look = next_view(place, settles_at, part.observer, part.settings)
+    return Site(
+        rank=rank, east=east, north=north, up=up, height_sigma=sigma, p_safe=float(hazards.p_safe[at]),
+        p_relief=factors["relief"], p_obstacle=factors["obstacle"], p_ground=factors["ground"],
+        p_wires=factors["wires"], resolved=float(hazards.resolved[at]), quality=float(hazards.quality[at]),
+        slope=float(hazards.slope[at]), roughness=float(hazards.roughness[at]), clearance=room,
+        radius=part.lander.radius + room,
+        terrain=_landing_class(part, east, north), heading=_heading(east, north, part.observer),
+        doubt=doubt if candidate else None, look=look, avoid=avoid,
+        preferred=hazards.preferred is not None and bool(hazards.preferred[at]),
+    )  # fmt: skip
 
-    def candidate_score(self, allowed: Mask, clearance: F32) -> F64:
-        """Compute the score of candidates (G11a), (R, C): mean P(safe) in steps, then score of a site; else -inf."""
-        hazards, step = self.hazards, self.settings.chance_step
-        chance = disc_mean(np.nan_to_num(hazards.p_safe), self.settings.margin, hazards.grid.cell)
-        score = self.score(allowed, clearance)
-        best = float(score.max(initial=-np.inf))
-        if not np.isfinite(best):
-            return score
-        return np.where(np.isfinite(score), np.floor(chance / step) + 0.99 * np.exp(score - best), -np.inf)
 
-    def place(self, rank: int, at: Cell, clearance: F32, candidate: bool) -> Site:
-        """Build the site or candidate at a cell; a candidate gets its doubt and the view that would settle it."""
-        hazards, grid, room = self.hazards, self.hazards.grid, float(clearance[at])
-        east, north = grid.east + at[1] * grid.cell, grid.north - at[0] * grid.cell
-        up, sigma = self._height_at(east, north)
-        factors: dict[Doubt, float] = {
-            "relief": float(hazards.p_relief[at]),
-            "obstacle": float(hazards.p_obstacle[at]),
-            "ground": float(hazards.p_ground[at]),
-            "wires": 1.0 if hazards.p_wires is None else float(hazards.p_wires[at]),
-        }
-        doubt: Doubt = min(factors, key=lambda k: np.nan_to_num(factors[k], nan=1.0))
-        reasons, avoid = Hazard(int(hazards.reasons[at])), ""
-        if Hazard.AVOID in reasons and hazards.zone is not None:
-            avoid = hazards.zone_labels[hazards.zone[at] - 1]
-            doubt = doubt if Hazard.DOUBT in reasons else "zone"
-        look = None
-        if candidate and self.observer is not None:
-            place, settles_at = np.array([east, north, up]), float(hazards.settles_at[at])
-            look = next_view(place, settles_at, self.observer, self.settings)
-        return Site(
-            rank=rank, east=east, north=north, up=up, height_sigma=sigma, p_safe=float(hazards.p_safe[at]),
-            p_relief=factors["relief"], p_obstacle=factors["obstacle"], p_ground=factors["ground"],
-            p_wires=factors["wires"], resolved=float(hazards.resolved[at]), quality=float(hazards.quality[at]),
-            slope=float(hazards.slope[at]), roughness=float(hazards.roughness[at]), clearance=room,
-            radius=self.lander.radius + room,
-            terrain=self._landing_class(east, north), heading=_heading(east, north, self.observer),
-            doubt=doubt if candidate else None, look=look, avoid=avoid,
-            preferred=hazards.preferred is not None and bool(hazards.preferred[at]),
-        )  # fmt: skip
+def _height_at(part: Part, east: float, north: float) -> tuple[float, float]:
+    """Return mean height and sigma, m, of the trusted cells of the footprint at a position; of all if none is."""
+    e = part.elevation
+    assert e is not None
+    for reach in (part.lander.radius, part.lander.radius + part.hazards.grid.cell):
+        rows, cols, disc = _footprint(e.grid, east, north, reach)
+        height, sigma = e.height[rows, cols], e.relative_sigma[rows, cols].astype(np.float64)
+        known = disc & np.isfinite(height)
+        if known.any():
+            break
+    trusted = known & e.trusted[rows, cols]
+    here = trusted if trusted.any() else known
+    return float(height[here].mean()), float(np.sqrt(np.mean(sigma[here] ** 2)))
 
-    def _height_at(self, east: float, north: float) -> tuple[float, float]:
-        """Return mean height and sigma, m, of the trusted cells of the footprint at a position; of all if none is."""
-        e = self.elevation
-        for reach in (self.lander.radius, self.lander.radius + self.hazards.grid.cell):
-            rows, cols, disc = _footprint(e.grid, east, north, reach)
-            height, sigma = e.height[rows, cols], e.relative_sigma[rows, cols].astype(np.float64)
-            known = disc & np.isfinite(height)
-            if known.any():
-                break
-        trusted = known & e.trusted[rows, cols]
-        here = trusted if trusted.any() else known
-        return float(height[here].mean()), float(np.sqrt(np.mean(sigma[here] ** 2)))
 
-    def _landing_class(self, east: float, north: float) -> Terrain:
-        if self.land_cover is None:
-            return Terrain.UNKNOWN
-        rows, cols, disc = _footprint(self.land_cover.grid, east, north, self.lander.radius)
-        labels = self.land_cover.label[rows, cols][disc]
-        counts = np.bincount(labels[labels != Terrain.UNKNOWN], minlength=len(Terrain))
-        return Terrain(int(counts.argmax())) if counts.any() else Terrain.UNKNOWN
+def _landing_class(part: Part, east: float, north: float) -> Terrain:
+    if part.land_cover is None:
+        return Terrain.UNKNOWN
+    rows, cols, disc = _footprint(part.land_cover.grid, east, north, part.lander.radius)
+    labels = part.land_cover.label[rows, cols][disc]
+    counts = np.bincount(labels[labels != Terrain.UNKNOWN], minlength=len(Terrain))
+    return Terrain(int(counts.argmax())) if counts.any() else Terrain.UNKNOWN
 
 
 def _footprint(grid: Grid, east: float, north: float, radius: float) -> DiscWindow:
@@ -181,31 +165,14 @@ def _heading(east: float, north: float, observer: Observer | None) -> float:
     return math.atan2(east - observer.position[0], north - observer.position[1]) % (2 * math.pi)
 
 
-def _peaks(score: F64, grid: Grid, count: int, apart: float, taken: list[Cell]) -> list[Cell]:
-    """Return up to `count` best cells, best first, more than `apart` metres from each other and from all `taken`."""
-    remaining, found = score.copy(), list[Cell]()
-
-    def take(cell: Cell) -> None:
-        rows, cols, disc = disc_window(remaining.shape, *cell, apart / grid.cell)
-        remaining[rows, cols][disc] = -np.inf
-
-    for cell in taken:
-        take(cell)
-    while len(found) < count:
-        row, col = divmod(int(np.argmax(remaining)), remaining.shape[1])
-        if not np.isfinite(remaining[row, col]):
-            break
-        found.append((row, col))
-        take((row, col))
-    return found
-
-
-def _spread(score: F64, hazards: HazardMap, count: int, apart: float, taken: list[Cell]) -> list[Cell]:
+def _spread(search: SiteSearch, count: int, apart: float, taken: Sequence[Best]) -> list[Best]:
     """Return up to `count` best cells, best first, spread over the judged ground; nearer ones if others are few."""
-    area = float(np.isfinite(hazards.p_safe).sum()) * hazards.grid.cell**2
-    found = _peaks(score, hazards.grid, count, max(apart, math.sqrt(area / max(count, 1))), taken)
-    found += _peaks(score, hazards.grid, count - len(found), apart, taken + found)
-    return sorted(found, key=score.__getitem__, reverse=True)
+    if count <= 0:
+        return []
+    area = float(search.ground.judged) * search.ground.grid.cell**2
+    found = search.peaks(count, max(apart, math.sqrt(area / count)), taken)
+    found += search.peaks(count - len(found), apart, [*taken, *found])
+    return sorted(found, key=lambda best: best.score, reverse=True)
 
 
 def choose_sites(
@@ -232,51 +199,50 @@ def choose_sites(
     Returns:
         Sites and candidates in order of rank. Without a site, `reason` explains why in a sentence; nothing is raised.
     """
-    c = _Choice(hazards, land_cover, elevation, settings, lander, observer)
-    apart, grid = separation(settings, lander), hazards.grid
-    doubt, avoid = np.uint16(Hazard.DOUBT), np.uint16(Hazard.AVOID)
-    # a candidate's clearance is the distance to refused cells; undecided cells do not reduce it
-    room, clearance = clearance_of((hazards.reasons & ~(doubt | avoid)) == 0, grid.cell), hazards.clearance
-    safe = _peaks(c.score(hazards.reasons == 0, clearance), grid, settings.count, apart, [])
-    undecided = _spread(
-        c.candidate_score(hazards.reasons == doubt, room), hazards, settings.count - len(safe), apart, safe
-    )
-    if hazards.zone is not None:
+    found = find_sites(WholeMap(Part(hazards, land_cover, elevation, settings, lander, observer)), settings, lander)
+    if not found.sites:
+        seen = Tally.of(hazards.on(elevation.grid), elevation.trusted)
+        found = replace(found, reason=why_no_site(seen, hazards.grid.cell, settings, lander))
+    return replace(found, ground_judged=land_cover is not None)
+
+
+def find_sites(ground: SearchedMap, settings: SitesSettings, lander: Lander) -> Sites:
+    """Rank the sites and candidates of a map that is at hand as a whole or in parts, without the reason for none."""
+    apart, count = separation(settings, lander), settings.count
+    kind, safe = SAFE, SiteSearch(ground, SAFE).peaks(count, apart)
+    undecided = _spread(SiteSearch(ground, UNDECIDED), count - len(safe), apart, safe) if len(safe) < count else []
+    listed = [(UNDECIDED, best.cell) for best in undecided]
+    if ground.zoned:
         if not safe and not undecided:
-            clearance = clearance_of((hazards.reasons & ~avoid) == 0, grid.cell)
-            safe = _peaks(c.score(hazards.reasons == avoid, clearance), grid, settings.count, apart, [])
-        left, avoided = settings.count - len(safe) - len(undecided), (hazards.reasons & ~doubt) == avoid
-        undecided += _spread(c.candidate_score(avoided, room), hazards, left, apart, [*safe, *undecided])
-    sites = tuple(c.place(i + 1, at, clearance, False) for i, at in enumerate(safe))
-    candidates = tuple(c.place(len(safe) + i + 1, at, room, True) for i, at in enumerate(undecided))
-    reason = "" if sites else why_no_site(hazards, elevation, settings, lander)
-    return Sites(sites, reason, candidates=candidates, ground_judged=land_cover is not None)
+            kind, safe = AVOIDED_SITES, SiteSearch(ground, AVOIDED_SITES).peaks(count, apart)
+        if (left := count - len(safe) - len(undecided)) > 0:
+            taken = [*safe, *undecided]
+            listed += [(AVOIDED, best.cell) for best in _spread(SiteSearch(ground, AVOIDED), left, apart, taken)]
+    listed = [(kind, best.cell) for best in safe] + listed
+    made = tuple(_site(ground.about(at), n, at, ground.grid, wanted) for n, (wanted, at) in enumerate(listed, 1))
+    return Sites(made[: len(safe)], candidates=made[len(safe) :])
 
 
-def why_no_site(hazards: HazardMap, elevation: ElevationMap, settings: SitesSettings, lander: Lander) -> str:
+def why_no_site(seen: Tally, cell: float, settings: SitesSettings, lander: Lander) -> str:
     """Return the reasons against a landing in one sentence, as shares of the seen ground; these shares may overlap."""
-    seen, cell, hazards = elevation.trusted, hazards.grid.cell, hazards.on(elevation.grid)
-    if not seen.any():
+    if not seen.cells:
         return "no safe site: no ground was seen well enough to know its height"
-    if ((hazards.reasons[seen] & Hazard.EDGE) != 0).all():
+    if seen.reasons[Hazard.EDGE] == seen.cells:
         return "no safe site: the map is smaller than the footprint"
-    safe = seen & (hazards.reasons == 0)
-    if safe.any():
-        room = float(hazards.clearance[safe].max())
+    if seen.safe:
         return (
-            f"no safe site: {safe.sum() / seen.sum():.1%} of the seen ground is safe, but the most room there is "
-            f"{math.floor(100 * room) / 100:.2f} m and {settings.margin:.2f} m is wanted"
+            f"no safe site: {seen.safe / seen.cells:.1%} of the seen ground is safe, but the most room there is "
+            f"{math.floor(100 * seen.room) / 100:.2f} m and {settings.margin:.2f} m is wanted"
         )
-    shares = {bit: float(((hazards.reasons[seen] & bit) != 0).mean()) for bit in REASON_WORDS}
-    ranked = sorted((s, b) for b, s in shares.items() if s >= 0.005)[::-1]
-    parts = [f"{100 * share:.0f} % {REASON_WORDS[bit]}{_zones_of(bit, hazards)}" for share, bit in ranked]
+    ranked = sorted((s, b) for b in REASON_WORDS if (s := seen.share(b)) >= 0.005)[::-1]
+    parts = [f"{100 * share:.0f} % {REASON_WORDS[bit]}{_zones_of(bit, seen)}" for share, bit in ranked]
     too_wide = f"; cells of {cell:g} m are wider than the radius of {lander.radius:g} m, so no plane fits"
     return "no safe site: of the seen ground " + ", ".join(parts) + (too_wide if lander.radius < cell else "")
 
 
-def _zones_of(bit: Hazard, hazards: HazardMap, most: int = 3) -> str:
+def _zones_of(bit: Hazard, seen: Tally, most: int = 3) -> str:
     """Return the names of the zones behind a reason of refusal, the largest first, in brackets; else empty."""
-    if not (largest := hazards.zones_behind(bit)):
+    if not (largest := [label for (reason, label), _ in seen.zones.most_common() if reason == bit]):
         return ""
     more = f", {len(largest) - most} more" if len(largest) > most else ""
     return f" ({', '.join(largest[:most])}{more})"

@@ -15,7 +15,7 @@ from rasterio.features import rasterize
 from alight.arrays import F64, U16
 from alight.geometry import Grid
 from alight.geometry.zones import rectangle_of
-from alight.raster import clearance_of
+from alight.raster import clearance_of, placeless_rasters
 from alight.records import Hazard, HazardMap, NearZone, Site, Sites
 from alight.records.zones import FOUND, ONLY, GroundZone, Use, ZonesOnPlane, cut
 
@@ -104,5 +104,6 @@ def _drawn(areas: list[shapely.Geometry], grid: Grid) -> U16:
     out = np.zeros(grid.shape, np.uint16)
     if areas:
         numbered = ((area, number) for number, area in enumerate(areas, 1))
-        rasterize(numbered, out=out, transform=Affine(*grid.transform))
+        with placeless_rasters():
+            rasterize(numbered, out=out, transform=Affine(*grid.transform))
     return out

@@ -25,10 +25,12 @@ def partial_path(path: Path) -> Path:
     return path.with_name(f".{path.name}.tmp")
 
 
-def write_whole(path: Path, data: bytes, durable: bool = True) -> None:
+def write_whole(path: Path, data: bytes | Path, durable: bool = True) -> None:
     """Write `data` to `path` atomically: no reader sees an incomplete file, and no crash or Ctrl-C leaves one.
 
     Args:
+        path: file to write.
+        data: its content, or a file of the same disk with the content, which is moved.
         durable: whether to wait until the disk has the file; if false, a loss of power may damage or remove it.
 
     Raises:
@@ -36,8 +38,10 @@ def write_whole(path: Path, data: bytes, durable: bool = True) -> None:
     """
     part = partial_path(path)
     try:
-        with part.open("wb") as f:
-            f.write(data)
+        if isinstance(data, Path):
+            os.replace(data, part)
+        with part.open("ab" if isinstance(data, Path) else "wb") as f:
+            f.write(b"" if isinstance(data, Path) else data)
             f.flush()
             if durable:
                 os.fsync(f.fileno())

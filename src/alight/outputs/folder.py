@@ -41,8 +41,8 @@ BY_OTHERS = (
 WORK = "unfinished-work"  # folder of an interrupted run
 NO_PLACE = "the input has no place on Earth; run.json has the sites in metres"
 
-# file name -> the function that returns the content, or the reason why there is none
-Contents = dict[str, Callable[[], bytes] | str]
+# file name -> the function that returns the content or a file to be moved, or the reason why there is none
+Contents = dict[str, Callable[[], bytes | Path] | str]
 
 
 def _rasters(r: RunResult) -> Contents:
@@ -179,6 +179,13 @@ def remove_work(out: Path) -> None:
     """Remove the saved work of an interrupted run from the output folder."""
     if is_work(out / WORK):
         shutil.rmtree(out / WORK, ignore_errors=True)
+
+
+def new_work(out: Path) -> Path:
+    """Return an empty folder within the output folder, for files that are moved there at the end."""
+    remove_work(out)
+    (out / WORK).mkdir()
+    return out / WORK
 
 
 def is_finished(folder: Path) -> bool:

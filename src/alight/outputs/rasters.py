@@ -125,11 +125,10 @@ def ortho_raster(elevation: ElevationMap) -> RasterFile:
     return RasterFile(elevation.grid, bands, ("red", "green", "blue"), mask=elevation.views > 0)
 
 
-def encode(raster: RasterFile, crs: CRS) -> bytes:
-    """Return the bytes of a cloud-optimised GeoTIFF: tiled, deflated, with overviews."""
+def profile_of(raster: RasterFile, crs: CRS) -> dict[str, Any]:
+    """Return the options of rasterio for a deflated GeoTIFF, compressed on all cores."""
     count, rows, cols = raster.bands.shape
-    profile: dict[str, Any] = {
-        "driver": "COG",
+    return {
         "width": cols,
         "height": rows,
         "count": count,
@@ -138,20 +137,27 @@ def encode(raster: RasterFile, crs: CRS) -> bytes:
         "transform": rasterio.Affine(*raster.grid.transform),
         "nodata": raster.nodata,
         "compress": "DEFLATE",
-        "level": 1,
-        "predictor": "YES",
-        "blocksize": 256,
-        "overview_resampling": raster.resampling,
+        "num_threads": "ALL_CPUS",
     }
+
+
+def describe_bands(dataset: Any, raster: RasterFile) -> None:
+    """Write names, units, tags and colours of the bands into an open file."""
+    dataset.descriptions = tuple(raster.names)
+    dataset.units = tuple(raster.units or [""] * len(raster.bands))
+    dataset.update_tags(1, **raster.tags)
+    dataset.update_tags(**raster.file_tags)
+    if raster.colours is not None:
+        dataset.write_colormap(1, raster.colours)
+
+
+def encode(raster: RasterFile, crs: CRS) -> bytes:
+    """Return the bytes of a cloud-optimised GeoTIFF: tiled, deflated, with overviews."""
+    options = {"driver": "COG", "level": 1, "predictor": "YES", "blocksize": 256}
     with MemoryFile() as memory:
-        with memory.open(**profile) as dataset:
+        with memory.open(**profile_of(raster, crs), **options, overview_resampling=raster.resampling) as dataset:
             dataset.write(raster.bands)
-            dataset.descriptions = tuple(raster.names)
-            dataset.units = tuple(raster.units or [""] * count)
-            dataset.update_tags(1, **raster.tags)
-            dataset.update_tags(**raster.file_tags)
-            if raster.colours is not None:
-                dataset.write_colormap(1, raster.colours)
+            describe_bands(dataset, raster)
             if raster.mask is not None:
                 dataset.colorinterp = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
                 dataset.write_mask(raster.mask)

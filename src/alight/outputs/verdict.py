@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rasterio.crs import CRS
@@ -17,10 +18,12 @@ from alight.geometry import LOCAL_WKT
 from alight.outputs import rasters, vectors
 from alight.outputs.folder import NO_PLACE, Contents, report_file, write_folder
 from alight.raster import unreadable
-from alight.records import ElevationMap, Hazard, RunResult, Sites
+from alight.records import ElevationMap, Hazard, HazardMap, RunResult, Sites, Tally
 from alight.sources.raster_plane import RasterPlane
 
 log = logging.getLogger(__name__)
+
+MEASURES = ("slope", "roughness", "step", "clearance", "quality")  # bands of hazards.tif
 
 
 def _heights(e: ElevationMap) -> rasters.RasterFile:
@@ -51,19 +54,16 @@ def verdict_geojson(sites: Sites, plane: RasterPlane | None) -> dict[str, Any] |
     return vectors.collection([vectors.feature("Point", xyz, vectors.site_properties(s)) for xyz, s in at], sites)
 
 
-def _summary(result: RunResult, plane: RasterPlane | None, missing: Mapping[str, str]) -> dict[str, Any]:
-    hazards = result.hazards_as_mapped
-    assert hazards is not None
-    judged = np.isfinite(hazards.p_safe)
-    shares = {(r.name or "").lower(): round(float(((hazards.reasons & np.uint16(r)) != 0).mean()), 6) for r in Hazard}
+def _summary(result: RunResult, plane: RasterPlane | None, tally: Tally, missing: Mapping[str, str]) -> dict[str, Any]:
+    shares = {(bit.name or "").lower(): round(tally.share(bit), 6) for bit in Hazard}
     return {
         "alight": __version__,
         "input": {"name": result.source_name, "kind": result.source_kind},
         "crs": plane.reference.crs.to_string() if plane and plane.reference.crs else None,
         "plane": {"x": plane.x, "y": plane.y, "metres": plane.metres} if plane else None,
         "answer": vectors.answer_json(result.sites),
-        "share_safe": round(float((hazards.reasons == 0).mean()), 6),
-        "share_judged": round(float(judged.mean()), 6),
+        "share_safe": round(tally.safe / tally.cells, 6),
+        "share_judged": round(tally.judged / tally.cells, 6),
         "share_refused": shares,
         "notes": vectors.plain(result.notes),
         "warnings": list(result.warnings),
@@ -72,24 +72,46 @@ def _summary(result: RunResult, plane: RasterPlane | None, missing: Mapping[str,
     }
 
 
-def _contents(result: RunResult, plane: RasterPlane | None, sharpened: bool) -> Contents:
+def written_on(raster: rasters.RasterFile, plane: RasterPlane | None) -> tuple[rasters.RasterFile, CRS]:
+    """Return a raster in the coordinates of the plane of an input, and its coordinate system."""
+    if plane is None:
+        return raster, CRS.from_wkt(LOCAL_WKT)
+    return replace(raster, grid=plane.grid_in_crs(raster.grid)), plane.crs
+
+
+def judged_rasters(hazards: HazardMap) -> dict[str, Callable[[], rasters.RasterFile]]:
+    """Return by file name the functions that make the rasters of a judgement."""
+    return {
+        "safe.tif": partial(rasters.safe_raster, hazards),
+        "reasons.tif": partial(rasters.reasons_raster, hazards),
+        "hazards.tif": partial(rasters.measures_raster, hazards, MEASURES, ("rad", "m", "m", "m", "")),
+    }
+
+
+class MadeRasters(NamedTuple):
+    """Rasters of a judgement that were written while a large raster was judged, and counts of its cells."""
+
+    folder: Path  # of the files, which are moved
+    tally: Tally
+
+
+def _contents(result: RunResult, plane: RasterPlane | None, sharpened: bool, made: MadeRasters | None) -> Contents:
     """Return every file but run.json, in the order of writing, or why it is not written; see `write_judgement`."""
     hazards, elevation = result.hazards_as_mapped, result.elevation
     assert hazards is not None
     assert elevation is not None
     sites = verdict_geojson(result.sites, plane)
 
-    def tif(raster: rasters.RasterFile) -> Callable[[], bytes]:
-        own = raster if plane is None else replace(raster, grid=plane.grid_in_crs(raster.grid))
-        return lambda: rasters.encode(own, plane.crs if plane else CRS.from_wkt(LOCAL_WKT))
+    def tif(make: Callable[[], rasters.RasterFile]) -> Callable[[], bytes]:
+        return lambda: rasters.encode(*written_on(make(), plane))
 
-    names, units = ("slope", "roughness", "step", "clearance", "quality"), ("rad", "m", "m", "m", "")
     files: Contents = {
-        "safe.tif": tif(rasters.safe_raster(hazards)),
-        "reasons.tif": tif(rasters.reasons_raster(hazards)),
-        "hazards.tif": tif(rasters.measures_raster(hazards, names, units)),
-        "heights.tif": tif(_heights(elevation)) if sharpened else "no image made the heights finer",
-        **({} if result.terrain is None else {"terrain.tif": tif(rasters.terrain_raster(result.terrain))}),
+        n: tif(make) if made is None else partial(made.folder.joinpath, n)
+        for n, make in judged_rasters(hazards).items()
+    }
+    files |= {
+        "heights.tif": tif(partial(_heights, elevation)) if sharpened else "no image made the heights finer",
+        **({} if result.terrain is None else {"terrain.tif": tif(partial(rasters.terrain_raster, result.terrain))}),
         "sites.geojson": NO_PLACE if sites is None else lambda: vectors.json_bytes(sites),
     }
     return files | report_file(result, files)
@@ -102,11 +124,19 @@ def write_judgement(
     plane: RasterPlane | None,
     sharpened: bool,
     inputs: Sequence[Path] = (),
+    made: MadeRasters | None = None,
 ) -> list[Path]:
     """Write safe.tif, hazards.tif, reasons.tif, sites.geojson, report.html and run.json; return the paths written.
 
-    `heights.tif` is added if an image made the heights finer (`sharpened`). `plane`: coordinates of the input raster;
-    None: local ones. See `folder.write_folder` for errors.
+    Args:
+        result: the judgement.
+        out, overwrite, inputs: see `folder.write_folder`, also for errors.
+        plane: coordinates of the input raster; None: local ones.
+        sharpened: whether an image made the heights finer, so that `heights.tif` is added.
+        made: rasters of all cells, if the result has only some of them; None: they are made from the result.
     """
-    contents = _contents(result, plane, sharpened)
-    return write_folder(contents, lambda missing: _summary(result, plane, missing), out, overwrite, inputs)
+    contents = _contents(result, plane, sharpened, made)
+    hazards = result.hazards_as_mapped
+    assert hazards is not None
+    tally = Tally.of(hazards) if made is None else made.tally
+    return write_folder(contents, lambda missing: _summary(result, plane, tally, missing), out, overwrite, inputs)

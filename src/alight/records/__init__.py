@@ -56,6 +56,7 @@ from alight.records.surface import (
     is_measured,
     is_trusted,
 )
+from alight.records.tally import Tally
 from alight.records.telemetry import (
     FIX_3D,
     PRE_ARM,

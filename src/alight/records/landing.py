@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntFlag
@@ -82,12 +83,14 @@ class HazardMap(OnGrid):
     zone_labels: tuple[str, ...] = ()
     preferred: Mask | None = None  # (R, C) in a zone whose sites rank higher; None: nowhere
 
-    def zones_behind(self, bit: Hazard) -> list[str]:
-        """Return the labels of the zones that set ZONE or AVOID anywhere, the largest first; none for other reasons."""
-        if self.zone is None or bit not in (Hazard.ZONE, Hazard.AVOID):
-            return []
-        counts = np.bincount(self.zone[(self.reasons & bit) != 0], minlength=len(self.zone_labels) + 1)[1:]
-        return [self.zone_labels[k] for k in np.argsort(-counts, kind="stable") if counts[k]]
+    def zones_behind(self, bit: Hazard) -> Counter[str]:
+        """Return the labels of the zones that set ZONE or AVOID anywhere, the largest first, with their cells."""
+        cells = Counter[str]()
+        if self.zone is not None and bit in (Hazard.ZONE, Hazard.AVOID):
+            counts = np.bincount(self.zone[(self.reasons & bit) != 0], minlength=len(self.zone_labels) + 1)[1:]
+            for k in np.argsort(-counts, kind="stable"):
+                cells[self.zone_labels[k]] += int(counts[k])
+        return +cells  # without zones that set it nowhere
 
     def words(self, words: Mapping[Hazard, str], row: int, col: int) -> str:
         """Return the reasons of a cell in words, with the zone's name; empty: there is none."""

@@ -207,6 +207,11 @@ class OnGrid:
 
         return replace(self, grid=grid, **{k: moved(v) for k, v in vars(self).items() if isinstance(v, np.ndarray)})
 
+    def part(self, where: Box) -> Self:
+        """Return a copy of the cells in the box `where`."""
+        parts = {k: np.ascontiguousarray(v[where]) for k, v in vars(self).items() if isinstance(v, np.ndarray)}
+        return replace(self, grid=self.grid.part(where), **parts)
+
 
 @dataclass(frozen=True, eq=False)
 class TerrainMap(OnGrid):

@@ -21,6 +21,7 @@ from alight.result import Result
 from alight.runs import appearance_of
 from alight.settings import Settings, StageSettings, load_settings
 from alight.sources.raster import GroundRaster
+from alight.sources.raster_plane import RasterPlane
 from alight.sources.zones import read_zones
 
 # surveyed heights show every obstacle and lie level, unless the user's settings differ
@@ -38,7 +39,7 @@ def for_surveyed_heights(settings: Settings) -> Settings:
     return settings.model_copy(update={"tuning": tuning})
 
 
-def _too_wide(cell: float, stages: StageSettings) -> list[str]:
+def too_wide(cell: float, stages: StageSettings) -> list[str]:
     """Return a warning if cells of `cell` metres are too wide to show obstacles that the lander must avoid."""
     if cell <= stages.lander.judging_cell or stages.hazards.smoothed:
         return []
@@ -57,7 +58,7 @@ def _land_cover(elevation: ElevationMap, settings: Settings) -> TerrainMap | Non
     return found if found.coloured else None
 
 
-def _zones(ground: GroundRaster, file: Path | None) -> ZonesOnPlane:
+def zones_on(plane: RasterPlane | None, file: Path | None) -> ZonesOnPlane:
     """Read the zones of a file for the plane of a raster; without a file there are none.
 
     Raises:
@@ -65,7 +66,7 @@ def _zones(ground: GroundRaster, file: Path | None) -> ZonesOnPlane:
     """
     if file is None:
         return NO_ZONES
-    zones, plane = read_zones(file), ground.plane
+    zones = read_zones(file)
     if plane is None or not plane.reference.on_earth:
         raise InputError(f"--zones {file}: is for heights with a place on Earth; run it without")
     return zones.on_plane(plane.from_degrees, *plane.middle)
@@ -77,7 +78,7 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str, zones: Pat
     `name` is the name of the input, for the report; `zones` a file of zones. See `for_surveyed_heights` for suitable
     settings.
     """
-    given = _zones(ground, zones)
+    given = zones_on(ground.plane, zones)
     warnings, elevation, clock = list(ground.warnings), ground.elevation, [time.perf_counter()]
     if ground.image is not None and ground.image.shape[0] > elevation.grid.rows:
         finer = sharpen(elevation, ground.image, settings.tuning.hazards.sharpen)
@@ -85,7 +86,7 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str, zones: Pat
         elevation = finer or elevation
     clock.append(time.perf_counter())
     stages = settings.stages()
-    warnings += _too_wide(elevation.grid.cell, stages)
+    warnings += too_wide(elevation.grid.cell, stages)
     land_cover = _land_cover(elevation, settings) if ground.image is not None else None
     notes = {"heights": ground.settled} if ground.settled else {}
     notes |= {"ground": GROUND_UNSEEN} if land_cover is None else {}

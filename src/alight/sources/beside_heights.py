@@ -121,7 +121,8 @@ def _band_of_sigma(raster: OpenedRaster) -> int | None:
 
 def _without_zeros(raster: OpenedRaster, heights: RasterHeights, sigma: Beside) -> Beside:
     """Return a sigma with NaN in place of 0, because no measured height is exact and 0 often means "not measured"."""
-    share = 100.0 * float((sigma.values == 0)[np.isfinite(heights.metres)].mean())
+    known = np.isfinite(heights.metres)
+    share = 100.0 * float((sigma.values == 0)[known].sum()) / max(int(known.sum()), 1)
     warning = (
         f"{raster.path.name}: sigma is 0 in {share:.3g} % of the heights, which are taken as not measured; a sigma of "
         "all heights is given by --sigma METRES"
@@ -130,10 +131,10 @@ def _without_zeros(raster: OpenedRaster, heights: RasterHeights, sigma: Beside) 
     return Beside(values, sigma.settled, sigma.warnings + ([warning] if share else []))
 
 
-def sigma_beside(path: Path, heights: RasterHeights) -> Beside:
+def sigma_beside(path: Path, heights: RasterHeights, is_part: bool = False) -> Beside:
     """Read 1-sigma of the heights, (R, C) metres; each cell gets the largest of all sigma cells that it touches.
 
-    A sigma of 0 is unknown.
+    A sigma of 0 is unknown. `is_part`: whether the heights are a part of their raster, so that none may have a sigma.
 
     Raises:
         InputError: the file is not a raster, its unit cannot be determined, it lies elsewhere, or has values below 0.
@@ -148,7 +149,8 @@ def sigma_beside(path: Path, heights: RasterHeights) -> Beside:
             sigma = np.where(sigma == 0, sigma, np.maximum(sigma, touched))
         if (sigma < 0).any():
             raise InputError(f"{path}: sigma below 0; give 1-sigma in metres")
-        beyond = at.coverage(np.isfinite(sigma)[np.isfinite(heights.metres)], "no sigma beyond")
+        known = np.isfinite(sigma)[np.isfinite(heights.metres)]
+        beyond = [] if is_part else at.coverage(known, "no sigma beyond")
         words = f"{path.name}: sigma in {band.settled}{', resampled' if resampled else ''}"
         return _without_zeros(raster, heights, Beside(sigma, words, at.warnings + beyond))
 

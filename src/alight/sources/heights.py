@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from rasterio.enums import ColorInterp
@@ -13,7 +13,7 @@ from alight.records import InputError
 from alight.records.telemetry import HIGHEST
 from alight.sources.opened_raster import OpenedRaster
 from alight.sources.raster_band import Band, band_of_heights
-from alight.sources.raster_plane import RasterPlane, metric_plane
+from alight.sources.raster_plane import RasterPlane, plane_in_memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,24 +34,39 @@ def read_heights(raster: OpenedRaster) -> RasterHeights:
     """Read the heights of a raster in metres, in a metric plane, north up.
 
     Raises:
-        InputError: plane or unit cannot be determined (see `metric_plane`, `band_in_metres`), the values are not
+        InputError: plane or unit cannot be determined (see `plane_in_memory`, `band_in_metres`), the values are not
             heights (see `doubt_of_heights`), or no height is known.
     """
-    plane, band, dataset = metric_plane(raster), band_of_heights(raster), raster.dataset
-    stored = plane.read(raster, band.number)
-    metres, whole = band.heights(stored), np.dtype(dataset.dtypes[band.number - 1]).kind in "iu"
-    if not np.isfinite(metres).any():
+    found, stored = heights_on(raster, plane_in_memory(raster), band_of_heights(raster))
+    return replace(found, doubt=checked_heights(raster, found.band, stored))
+
+
+def checked_heights(raster: OpenedRaster, band: Band, stored: F64) -> str | None:
+    """Check that there are heights; see `doubt_of_heights`.
+
+    Raises:
+        InputError: no height is known, or see `doubt_of_heights`.
+    """
+    if not np.isfinite(band.heights(stored)).any():
         raise InputError(f"{raster.label}: no height is known; check its nodata value")
-    return RasterHeights(
+    return doubt_of_heights(raster, band, stored)
+
+
+def heights_on(raster: OpenedRaster, plane: RasterPlane, band: Band) -> tuple[RasterHeights, F64]:
+    """Read the heights of a raster on the grid of a plane, which may be a part of the raster; and the stored values."""
+    dataset, stored = raster.dataset, plane.read(raster, band.number)
+    whole = np.dtype(dataset.dtypes[band.number - 1]).kind in "iu"
+    found = RasterHeights(
         plane,
         band,
-        metres,
+        band.heights(stored),
         step=abs(band.scale * band.unit) if whole else 0.0,
-        doubt=doubt_of_heights(raster, band, stored),
+        doubt=None,
         settled=f"{raster.path.name}: heights in {words_of(raster, band)}, {plane.settled}",
         transform=dataset.transform,
         shape=dataset.shape,
     )
+    return found, stored
 
 
 def words_of(raster: OpenedRaster, band: Band) -> str:

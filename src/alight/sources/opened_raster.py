@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shlex
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,13 +16,12 @@ import rasterio
 from pyproj.exceptions import CRSError
 from rasterio.crs import CRS
 from rasterio.enums import MaskFlags, Resampling
-from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.vrt import WarpedVRT
 
 from alight.arrays import F64
 from alight.geometry import Grid
-from alight.raster import unreadable
+from alight.raster import placeless_rasters, unreadable
 from alight.records import InputError
 
 
@@ -107,8 +105,7 @@ def open_raster(path: Path, option: str = "") -> Iterator[OpenedRaster]:
     if not path.is_file():
         raise InputError(f"{label}: not a plain file; name a raster such as a GeoTIFF")
     try:
-        with warnings.catch_warnings():  # missing coordinates are reported elsewhere, once and in words
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with placeless_rasters():  # missing coordinates are reported elsewhere, once and in words
             dataset = rasterio.open(path)
     except UnicodeEncodeError as e:
         raise InputError(f"{label}: its name is not UTF-8; rename it") from e

@@ -115,7 +115,7 @@ def metric_plane(raster: OpenedRaster) -> RasterPlane:
     middle.
 
     Raises:
-        InputError: cells are in degrees, not square with north up, too many, too small or too large; the raster lies
+        InputError: cells are in degrees, not square with north up, too small or too large; the raster lies
             nowhere; or its point scale changes by more than 1 % with position or direction. The message has the command
             that fixes the raster.
     """
@@ -125,8 +125,6 @@ def metric_plane(raster: OpenedRaster) -> RasterPlane:
         lon, lat = (math.degrees(0.5 * (a + b) * reference.unit) for a, b in ((west, east), (south, north)))
         raise InputError(f"{raster.label}: its cells are degrees; mend it with: {_to_utm(raster, lon, lat)}")
     own = upright_grid(raster)
-    if own.rows * own.cols > 100_000_000:
-        raise InputError(f"{raster.label}: {own.cols} x {own.rows} cells are too many; cut it: gdal_translate -srcwin")
     if not 1e-3 <= own.cell * reference.unit <= 1e3:
         raise InputError(
             f"{raster.label}: cells of {own.cell * reference.unit:g} m; the ground is judged on cells of 0.001 to "
@@ -137,6 +135,19 @@ def metric_plane(raster: OpenedRaster) -> RasterPlane:
             f"{raster.label}: lies at {own.east:g}, {own.north:g}, which is nowhere; check it: gdal_edit.py -a_ullr"
         )
     return _in_metres(own, reference, *(_projection(raster, own) if reference.on_earth else (1.0, 0.0)))
+
+
+def plane_in_memory(raster: OpenedRaster) -> RasterPlane:
+    """Determine the metric plane of a raster that is to be held in memory.
+
+    Raises:
+        InputError: see `metric_plane`, or the cells are too many.
+    """
+    plane = metric_plane(raster)
+    if (cells := plane.grid).rows * cells.cols > 100_000_000:
+        size = f"{cells.cols} x {cells.rows}"
+        raise InputError(f"{raster.label}: {size} cells are too many; cut it: gdal_translate -srcwin")
+    return plane
 
 
 def _in_metres(own: Grid, reference: Reference, scale: float, turn: float) -> RasterPlane:
