@@ -92,9 +92,9 @@ def outer(x):
     return inner(x)
 try:
     assert (inner if sys.argv[1] == "inner" else outer)(21) == 21
-    print("right")
+    print("right", flush=True)
 except Exception as e:
-    print(type(e).__name__)
+    print(type(e).__name__, flush=True)
 if sys.argv[1] == "stay":
     sys.stdin.read()
 """
