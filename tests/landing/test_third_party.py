@@ -61,7 +61,7 @@ def test_the_disc_keeps_the_margin_from_cars_and_people() -> None:
         away = shapely.distance(shapely.MultiPoint(np.c_[EAST[where], NORTH[where]]), shapely.points(EAST, NORTH))
         assert refused[away < LANDER.reach + MARGIN - 0.1].all()
     assert {n.kind for s in sites.listed for n in s.near} == {"car", "person"}
-    assert found.zones_behind(Hazard.ZONE) == ["car", "person"]
+    assert list(found.zones_behind(Hazard.ZONE)) == ["car", "person"]
 
 
 def test_a_users_road_counts_as_a_road_too() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import pickle
+from enum import Enum
 from hashlib import blake2b
 from typing import Any
 
@@ -31,7 +32,8 @@ class _Pickler(pickle.Pickler):
     def reducer_override(self, value: Any) -> Any:
         if not isinstance(value, (*KINDS, np.ndarray, np.generic, np.dtype, type)) and not callable(value):
             raise TypeError(f"a task gave a {type(value).__name__}, which is not saved")
-        return NotImplemented
+        # before 3.11.4 Python itself would pickle a call of getattr, which is not restored
+        return (type(value), (value.value,)) if isinstance(value, Enum) else NotImplemented
 
 
 class _Unpickler(pickle.Unpickler):
