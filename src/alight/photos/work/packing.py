@@ -32,7 +32,7 @@ class _Pickler(pickle.Pickler):
     def reducer_override(self, value: Any) -> Any:
         if not isinstance(value, (*KINDS, np.ndarray, np.generic, np.dtype, type)) and not callable(value):
             raise TypeError(f"a task gave a {type(value).__name__}, which is not saved")
-        # before 3.11.4 Python itself would pickle a call of getattr, which is not restored
+        # Python 3.11.2 itself would pickle a call of getattr, which is not restored
         return (type(value), (value.value,)) if isinstance(value, Enum) else NotImplemented
 
 
