@@ -16,7 +16,7 @@ from alight.landing.third_party import third_parties
 from alight.landing.zones import MapZones
 from alight.outputs.verdict import write_judgement
 from alight.pipeline.judging import find_land_cover
-from alight.records import NO_ZONES, ElevationMap, InputError, RunResult, TerrainMap, ZonesOnPlane
+from alight.records import NO_ZONES, ElevationMap, GroundZone, InputError, RunResult, TerrainMap, ZonesOnPlane
 from alight.result import Result
 from alight.runs import appearance_of
 from alight.settings import Settings, StageSettings, load_settings
@@ -91,9 +91,10 @@ def judge_ground(ground: GroundRaster, settings: Settings, name: str, zones: Pat
     notes = {"heights": ground.settled} if ground.settled else {}
     notes |= {"ground": GROUND_UNSEEN} if land_cover is None else {}
     clock.append(time.perf_counter())
-    nobody = np.zeros(elevation.grid.shape, np.bool_)
-    others = third_parties(land_cover, elevation.grid, nobody, stages.hazards.traffic_margin)
-    others = others if stages.sites.third_party else ()
+    others = tuple[GroundZone, ...]()
+    if stages.sites.third_party:
+        nobody = np.zeros(elevation.grid.shape, np.bool_)
+        others = third_parties(land_cover, elevation.grid, nobody, stages.hazards.traffic_margin)
     limits = MapZones(given, stages.lander.reach, others)
     hazards = limits.judged(assess(elevation, land_cover, stages.lander, stages.hazards))
     notes |= {"zones": given.note} if given.zones else {}

@@ -34,7 +34,7 @@ class JudgedParts:
     ground: GroundParts
     windows: Windows
     stages: StageSettings
-    limits: MapZones | None
+    limits: MapZones
     judged: int  # number of cells with a P(safe)
     folder: Path  # of safe.tif, hazards.tif and reasons.tif
 
@@ -46,12 +46,12 @@ class JudgedParts:
     @property
     def zoned(self) -> bool:
         """Whether zones are against touchdowns."""
-        return self.limits is not None
+        return bool(self.limits.plane.zones)
 
     @property
     def preferring(self) -> bool:
         """Whether the sites of a zone rank higher."""
-        return self.limits is not None and bool(self.limits.plane.of("prefer"))
+        return bool(self.limits.plane.of("prefer"))
 
     @property
     def cores(self) -> Sequence[Box]:
@@ -82,8 +82,7 @@ class JudgedParts:
             values = read_box(self.folder / file, box, [bands.index(name) + 1 for name in chosen])
             found |= dict(zip(chosen, values, strict=True))
         hazards = HazardMap(grid, reasons=read_box(self.folder / "reasons.tif", box, [1])[0], **found)
-        if self.limits is not None:
-            hazards = replace(self.limits.judged(hazards), clearance=hazards.clearance)
+        hazards = replace(self.limits.judged(hazards), clearance=hazards.clearance)
         elevation = self.ground.part(box) if with_heights else None
         farthest = farthest_of(self.windows, grid)
         first = box[0].start, box[1].start

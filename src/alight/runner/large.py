@@ -22,7 +22,7 @@ from alight.landing.sites import find_sites, why_no_site
 from alight.landing.zones import MapZones
 from alight.outputs.tiles import TiledFile
 from alight.outputs.verdict import MEASURES, MadeRasters, judged_rasters, write_judgement, written_on
-from alight.records import NO_ZONES, HazardMap, InputError, RunResult, Tally
+from alight.records import HazardMap, InputError, RunResult, Tally
 from alight.result import Result
 from alight.runner.judge import GROUND_UNSEEN, too_wide, zones_on
 from alight.runner.judged_parts import JudgedParts, clearance_in, farthest_of
@@ -61,12 +61,12 @@ class JudgedWindow(NamedTuple):
 
 
 def judge_window(
-    grid: Grid, height: F32, sigma: F32, core: Box, stages: StageSettings, limits: MapZones | None
+    grid: Grid, height: F32, sigma: F32, core: Box, stages: StageSettings, limits: MapZones
 ) -> JudgedWindow:
     """Judge heights with their sigma, (R, C) metres, and return the cells in `core`."""
     elevation = as_map(grid, height, sigma)
-    found = assess(elevation, None, stages.lander, stages.hazards)
-    return JudgedWindow((found if limits is None else limits.judged(found)).part(core), elevation.trusted[core])
+    found = limits.judged(assess(elevation, None, stages.lander, stages.hazards))
+    return JudgedWindow(found.part(core), elevation.trusted[core])
 
 
 class LargeJudgement:
@@ -84,8 +84,8 @@ class LargeJudgement:
         self, ground: GroundParts, settings: Settings, folder: Path, zones: Path | None = None, side: int = SIDE
     ) -> None:
         self._ground, self._settings, self._folder = ground, settings, folder
-        given, self._stages = zones_on(ground.plane, zones), settings.stages()
-        self._limits = MapZones(given, settings.lander.reach) if given.zones else None
+        self._limits = MapZones(zones_on(ground.plane, zones), settings.lander.reach)
+        self._stages = settings.stages()
         self._windows = Windows.of(ground.grid, self._stages, side)
         self._overview = Overview(ground.grid, self._windows.every)
         self.tally = Tally()  # of all cells
@@ -112,8 +112,8 @@ class LargeJudgement:
             local=LocalFrame(0.0, 0.0, 0.0),
             georeferenced=False,  # the page shows the coordinates of the raster's plane
             settings=self._settings,
-            sites=sites if limits is None else limits.named(sites),
-            zones=NO_ZONES if limits is None else limits.plane,
+            sites=limits.named(sites),
+            zones=limits.plane,
             elevation=as_map(shown.grid, shown.fields.pop("height"), shown.fields.pop("sigma")),
             hazards=HazardMap(shown.grid, zone_labels=tuple(self._labels), **shown.fields),
             notes=self._notes(),
@@ -180,15 +180,16 @@ class LargeJudgement:
         every = self._windows.every
         about += f"; this page shows one of {every} rows and columns" if every > 1 else ""
         notes: dict[str, object] = {"heights": self._ground.settled, "ground": GROUND_UNSEEN, "raster": about}
-        return notes if self._limits is None else notes | {"zones": self._limits.plane.note}
+        plane = self._limits.plane
+        return notes | {"zones": plane.note} if plane.zones else notes
 
     def _warnings(self) -> list[str]:
-        known, limits = self._ground.known, self._limits
+        known = self._ground.known
         share = 100.0 * (known - self._seen.cells) / known
         lacking = f"no sigma above 0 in {share:.3g} % of the heights, which are taken as not measured"
         return [
             *self._ground.warnings,
             *([lacking] if share else []),
             *too_wide(self._ground.grid.cell, self._stages),
-            *([] if limits is None else limits.plane.warnings),
+            *self._limits.plane.warnings,
         ]

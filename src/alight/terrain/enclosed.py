@@ -31,6 +31,7 @@ class LevelSurfaces:
     settings: TerrainSettings
     size: int  # side of a block, cells
     bed: F32  # (r, c) median trusted height of each block
+    ground: F32  # (r, c) the same under hedges and cars, which are not banks
     parts: I64  # (r, c) index of each block's part, from 1; 0: no part
     areas: F64  # (parts + 1,) m^2, by index; NaN for index 0
     tilt: float  # rad, 1-sigma of the map's common tilt
@@ -42,7 +43,8 @@ class LevelSurfaces:
         block = size * elevation.grid.cell
         bed = block_quantile(np.where(elevation.trusted, elevation.height, np.float32(np.nan)), size, 0.5)
         tilt = 0.0 if elevation.datum is None else elevation.datum.tilt_sigma
-        return cls(elevation, settings, size, bed, *_parts(_is_level(bed, block, tilt, settings), block), tilt)
+        ground, level = ground_under(bed, settings.ground_window / (2 * block)), _is_level(bed, block, tilt, settings)
+        return cls(elevation, settings, size, bed, ground, *_parts(level, block), tilt)
 
     def pools(self, alike: Mask) -> Mask:
         """Return the mask (R, C) of level patches of what looks like water and stands no higher than its rim (G15b).
@@ -60,9 +62,10 @@ class LevelSurfaces:
         """
         settings, block = self.settings, self.size * self.elevation.grid.cell
         bank = settings.water_bank if bank is None else bank
-        ground = ground_under(self.bed, settings.ground_window / (2 * block))  # hedges and cars are not banks
         large = np.flatnonzero(self.areas >= settings.water_area)
-        return self._marked(large, 0, lambda part: _enclosure(part, self.bed, ground, block, self.tilt, bank, settings))
+        return self._marked(
+            large, 0, lambda part: _enclosure(part, self.bed, self.ground, block, self.tilt, bank, settings)
+        )
 
     def raised(self) -> F32:
         """Compute the degree, 0 to 1, to which each cell belongs to a level surface above its rim (G13c), (R, C)."""

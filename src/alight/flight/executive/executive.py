@@ -206,14 +206,12 @@ class Executive:
 
     def _near_site(self, now: Situation) -> Site | None:
         """Return the nearest site that can be reached in flight by sight; None: there is none, or GPS is there."""
-        return (
-            None
-            if now.sight is None or now.position is None
-            else self._places.nearest_site(now.position, self._is_open(now))
-        )
+        if now.sight is None or now.position is None:
+            return None
+        return self._places.nearest_site(now.position, self._is_open(now))
 
     def _can_reach(self, place: Site, now: Situation) -> bool:
-        """Whether the vehicle is above a place, by sight, before its position is as uncertain as the place is wide."""
+        """Whether the vehicle is above a place before its position, by sight, is as uncertain as the place is wide."""
         if now.sight is None or now.position is None:
             return True
         way, r = place.position_world - now.position, self._route
@@ -232,15 +230,10 @@ class Executive:
 
     def _at_place(self, now: Situation, visit: Visit) -> Event | None:
         began, self._by_sight = now.sight is not None and not self._by_sight, now.sight is not None
-        if (
-            began
-            and self.state in AT_A_PLACE
-            and not (visit.place.kind == "site" and self._can_reach(visit.place, now))
-        ):
-            near = self._near_site(now)
-            if near is not None:
-                self._begin_visit(near)
-                return E.GPS_LOST, f"P(safe) {p_safe_text(near.p_safe)}"
+        goes_on = visit.place.kind == "site" and self._can_reach(visit.place, now)
+        if began and not goes_on and self.state in AT_A_PLACE and (near := self._near_site(now)) is not None:
+            self._begin_visit(near)
+            return E.GPS_LOST, f"P(safe) {p_safe_text(near.p_safe)}"
         event = visit.step(now, self._seen(now))
         if event is not None or visit.to is None or now.position is None:
             return event
@@ -311,4 +304,4 @@ class Executive:
 
     def _is_open(self, now: Situation) -> Callable[[Site], bool]:
         is_open = partial(self._looks.is_open, now=now, seen=self._seen(now))
-        return is_open if now.sight is None else lambda place: self._can_reach(place, now) and is_open(place)
+        return lambda place: self._can_reach(place, now) and is_open(place)
