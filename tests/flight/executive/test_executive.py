@@ -123,6 +123,29 @@ def test_ground_without_a_place_is_searched_and_left() -> None:
     assert np.abs(spots).max() < 20.0  # no farther than that takes
 
 
+@pytest.mark.parametrize(("shows", "heights"), [(70.0, [120, 60]), (40.0, [120, 60, 30]), (20.0, [120, 60, 30])])
+def test_a_search_that_ends_without_a_place_goes_on_from_half_the_height(shows: float, heights: list[int]) -> None:
+    """Never below 30 m, as trees of 15 m may stand on ground that is not mapped yet."""
+    place = {(22.0, 18.0): lambda h: clearer_from_below(h) if h < shows else 0.0}
+    f = Flight(Ground(place, sees=99.0), Executive(settings("executive.search_height=120")))
+    f.position[2] = 120.0
+    assert f.fly() is (S.LANDED if shows > 30.0 else S.RETURN)
+    wanted = [o.position for s, o, _ in f.orders if s is S.SEARCH and o.position is not None]
+    assert len(wanted) == len([s for s, _, _ in f.orders if s is S.SEARCH])  # no stop between two heights
+    assert sorted({round(p[2]) for p in wanted}, reverse=True) == heights
+    for height in heights[:-1]:  # one camera straight above sees no parallax
+        flown = [p[:2] for s, _, p in f.orders if s is S.SEARCH and abs(p[2] - height) < 2.0]
+        assert np.ptp(flown, axis=0).max() >= 0.29 * height
+
+
+def test_a_search_goes_no_lower_over_ground_whose_height_is_unknown() -> None:
+    f = Flight(Ground({}), Executive(settings("executive.search_height=120")), lambda now, _: replace(now, seen=None))
+    f.position[2] = 120.0
+    assert f.fly() is S.RETURN
+    assert f.events == [E.SEARCHED]
+    assert min(p[2] for _, _, p in f.orders) > 119.0
+
+
 def test_a_candidate_that_stays_one_is_not_landed_on() -> None:
     f = Flight(Ground({(10.0, 5.0): lambda h: 0.8}), Executive(settings()))
     assert f.fly() is S.RETURN

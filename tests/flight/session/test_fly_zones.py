@@ -185,3 +185,19 @@ def test_where_zones_refuse_all_ground_of_the_map_it_returns_and_names_them() ->
     r.begin()
     assert r.fly(S.RETURN)
     assert "ground is refused by keep-out zone farm" in r.pilot.diary.transitions[-1].reason
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_search_from_lower_crosses_no_zone_below_its_floor(seed: int) -> None:
+    """From 120 m the vehicle may search above every zone, from 60 and 30 m beside some of them only."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-25.0, 25.0, (6, 2))
+    zones = [z for z in cutting(rng, places) if z.floor != 0.0]
+    zones += [keep_out(shapely.Point(*rng.uniform(8.0, 25.0, 2)), floor, reach=4.0) for floor in (45.0, 90.0)]
+    shown = {tuple(place): lambda h: clearer_from_below(h) if h < 45.0 else 0.0 for place in places}
+    r = PilotRig(Ground(shown, sees=99.0).seen, settings=("executive.search_height=120", "executive.time_budget=600"))
+    r.zones = ZonesOnPlane(tuple(zones))
+    r.up_and_flying(120.0)
+    r.begin()
+    assert fly(r, zones) > 0.0
+    assert r.pilot.executive.state is S.LANDED

@@ -41,14 +41,15 @@ class Bounds:
         self._start = np.zeros(2) if start is None else start
         self._disc, margin = settings.lander.reach, settings.executive.fence_margin
         self._on_way, self._at_end = self._disc + 0.5 * margin, self._disc + margin  # m of room
-        self._search_height, self._arrived = settings.executive.search_height, settings.executive.arrived
+        self.search_height = settings.executive.search_height  # metres above the ground, of the present search
+        self._arrived = settings.executive.arrived
         self._reach = 2.0 * settings.executive.search_side
         self._fence, self._zones = fence, zones.around(self._start, self._reach)
         self._looks = Region(tuple(z for z in self._zones.limits(TOUCHDOWN, self._start) if z.keeps_in))
         floors = {z.floor for z in self._zones.of("keep-out")} - {0.0}
         self._floors = np.array([0.0, *sorted(floors)])  # m
         self._layers: dict[float, _Layer] = {}
-        self._seen: tuple[int, float, float] | None = None  # newest verdict: number, highest ground, level of a search
+        self._seen: tuple[int, float, float] | None = None  # newest verdict: number, highest ground, ground
         self.shift = np.zeros(2)  # m
 
     def observe(self, seen: MapVerdict | None) -> None:
@@ -58,7 +59,7 @@ class Bounds:
             if seen is not None:
                 heights = seen.elevation.height[seen.elevation.trusted] if len(self._floors) > 1 else np.zeros(0)
                 highest = max(seen.ground, float(np.percentile(heights, 95))) if heights.size else seen.ground
-                self._seen = seen.number, highest, seen.ground + self._search_height
+                self._seen = seen.number, highest, seen.ground
 
     def _layer(self, up: float) -> _Layer:
         """Return the layer of ways at the height `up`, metres; TOUCHDOWN: of touchdowns."""
@@ -75,7 +76,12 @@ class Bounds:
     @property
     def _search(self) -> _Layer:
         """The layer of the height of the search; the vehicle may fly a little lower."""
-        return self._layer(0.0 if self._seen is None else self._seen[2] - self._arrived)
+        return self._layer(0.0 if self._seen is None else self._level - self._arrived)
+
+    @property
+    def _level(self) -> float:
+        """Height of the search, metres up; minus infinity: the ground is not known."""
+        return -math.inf if self._seen is None else self._seen[2] + self.search_height
 
     # -- places and straight ways
 
@@ -148,7 +154,7 @@ class Bounds:
         if self.is_free(position, to):
             return to
         at, goal = position[:2] + self.shift, to[:2] + self.shift
-        level = max(float(position[2]), float(to[2]), -math.inf if self._seen is None else self._seen[2])
+        level = max(float(position[2]), float(to[2]), self._level)
         low, high = self._layer(min(float(position[2]), float(to[2]))), self._layer(level - self._arrived)
         if low is not high and not (low.reaches(at) and low.reaches(goal)):
             if position[2] < level - self._arrived:

@@ -199,7 +199,9 @@ class Executive:
             self._begin_visit(step.place)
             return E.FOUND, step.why
         self._way = step.way
-        return (E.SEARCHED, step.why) if step.way is None else None
+        if step.way is None:
+            return E.SEARCHED, step.why
+        return (E.LOWER, step.why) if step.why else None
 
     def _begin_visit(self, place: Site) -> None:
         self._visit = Visit(place, self._settings, self._looks, self._places, self._limits, self.diary.looks.append)
@@ -248,7 +250,8 @@ class Executive:
         self.diary.transitions.append(Transition(now.t, before, event, after, why or event.value, place, p_safe))
         if event is E.REFUSED or (event is E.WAITED and before in AT_A_PLACE) or before is S.COMMIT:
             self._places.refuse(t)
-        self.state, self._since, self._way = after, now.t, None
+        self.state, self._since = after, now.t
+        self._way = self._way if after is before else None
         self._held = before if after is S.HOLD else self._held
         self._course.begin()
         if after is S.ABORT:

@@ -29,12 +29,12 @@ class SearchStep(NamedTuple):
 
     place: Site | None = None
     way: F64 | None = None  # (3,) metres
-    why: str = ""  # reason for the place, or for the end of the search
+    why: str = ""  # reason for the place, for a search from lower, or for the end of the search
     look: LookRecord | None = None  # a goal that is refused from above it
 
 
 class Search:
-    """Flies to each of the `goals`, then along the lanes of the search.
+    """Flies to each of the `goals`, then along the lanes of the search; if no place is left, along lanes at half the height.
 
     A goal is judged by the verdicts from above it, like any place: then it is visited, or refused. It counts as refused
     too if the place that is visited for it is.
@@ -45,10 +45,13 @@ class Search:
     ) -> None:
         self._keys, self._margin = settings.executive, settings.sites.margin
         self._places, self._clear_way, self._limits = places, clear_way, limits
+        self._share = settings.route.look_share
+        self._lowest = max(2.0 * settings.mapping.trees, self._keys.commit_height)  # m: maps seek trees half as high
         self.goals: list[Goal] = []
         self._lanes: SearchLanes | None = None
         self._above_at: float | None = None  # s, when the vehicle was first above the goal
         self._over_at: float | None = None  # s, when the last lane ended
+        self._sinks = False  # whether the vehicle comes down to the lanes of a lower height
         self._refusals: int | None = None  # places refused before the goal was visited; None: it was not visited yet
 
     def restart(self) -> None:
@@ -70,19 +73,28 @@ class Search:
         if self._refusals is not None and self._places.refusals > self._refusals:
             self._next_goal()
         if self.goals:
-            level = home[2] if ground is None else ground + self._keys.search_height
+            level = home[2] if ground is None else ground + self._clear_way.bounds.search_height
             return self._to_goal(now, float(level), seen, is_open)
         found = self._places.best(is_open)
         if found is None or not self._places.worth_a_visit(found):
             lanes = self._lanes = self._lanes or SearchLanes(home, self._keys, self._clear_way.bounds)
+            self._sinks = self._sinks and not self._is_down(now, lanes.end(ground), seen)
+            if self._sinks:
+                return SearchStep(way=lanes.end(ground))
             lanes.fly(now.position, ground)
             if lanes.over and self._over_at is None:
                 self._over_at = now.t
             if self._over_at is None or not self._is_judged(now, self._over_at, seen):
                 return SearchStep(way=lanes.end(ground))
+        bounds = self._clear_way.bounds
+        if found is None and ground is not None and self._share * bounds.search_height >= self._lowest:
+            before, bounds.search_height = bounds.search_height, self._share * bounds.search_height
+            self._over_at, self._lanes, self._sinks = None, SearchLanes(home, self._keys, bounds), True
+            why = f"no place is left from {before:.0f} m, so the search goes on from {bounds.search_height:.0f} m"
+            return SearchStep(way=self._lanes.end(ground), why=why)
         if found is None:
             unseen = "" if ground is not None else "; no height could be measured"
-            fates = self._places.fates(self._clear_way.bounds)
+            fates = self._places.fates(bounds)
             zones = [] if seen is None else seen.hazards.zones_behind(Hazard.ZONE)
             refused = f"; ground is refused by {', '.join(zones)}" if zones else ""
             return SearchStep(why=f"within {self._keys.search_side:.0f} m{fates}{refused}{unseen}")
@@ -91,6 +103,13 @@ class Search:
     def _is_judged(self, now: Situation, t: float, seen: MapVerdict | None) -> bool:
         """Whether a verdict on what was seen until `t`, s, has come, or is overdue."""
         return (seen is not None and seen.t >= t) or self._limits.is_overdue(now.t, t)
+
+    def _is_down(self, now: Situation, end: F64, seen: MapVerdict | None) -> bool:
+        """Whether the vehicle is at `end`, (3,) metres, or above it as low as obstacles on the map allow."""
+        assert now.position is not None
+        level = -math.inf if seen is None else self._clear_way.level(now.position, end, seen)
+        left = now.position - np.array([*end[:2], max(float(end[2]), level)])
+        return float(np.linalg.norm(left)) < self._keys.arrived
 
     def _next_goal(self) -> None:
         self.goals.pop(0)

@@ -23,7 +23,7 @@ def _rows() -> Mapping[tuple[FlightState, FlightEvent], FlightState]:
     out |= {(s, E.NAVIGATION_LOST): S.HOLD for s in ABOVE} | {(s, E.CAMERA_LOST): S.HOLD for s in ABOVE}
     out |= {(s, e): S.RETURN for s in (*ABOVE, S.HOLD) for e in (E.WIND, E.BATTERY, E.TIME)}
     out |= {(S.HOLD, E.RECOVERED): S.SEARCH, (S.HOLD, E.WAITED): S.HANDED_OVER}
-    out |= {(S.SEARCH, E.SEARCHED): S.RETURN, (S.SEARCH, E.FOUND): S.APPROACH}
+    out |= {(S.SEARCH, E.SEARCHED): S.RETURN, (S.SEARCH, E.FOUND): S.APPROACH, (S.SEARCH, E.LOWER): S.SEARCH}
     out |= {(S.APPROACH, E.ARRIVED): S.LOOK, (S.DESCEND, E.ARRIVED): S.LOOK}
     out |= {(S.LOOK, E.LOWER): S.DESCEND, (S.LOOK, E.CONFIRMED): S.COMMIT}
     out |= {(s, E.GPS_LOST): S.APPROACH for s in AT_A_PLACE}

@@ -44,7 +44,7 @@ class ClearWay:
         below = way_below(start, to, grid, self._obstructions_of(seen), self._clearance, self._beside, k.rise)
         is_long = math.hypot(to[0] - start[0], to[1] - start[1]) > self._long
         unsure = below.doubtful > k.risen or (is_long and below.unmapped > k.unmapped)
-        return max(below.clear, seen.ground + k.search_height) if unsure and not at_a_place else below.clear
+        return max(below.clear, seen.ground + self.bounds.search_height) if unsure and not at_a_place else below.clear
 
     def is_free(self, start: F64, to: F64, ground: float, seen: MapVerdict, times: float = 1.0) -> bool:
         """Whether a level path from `start` to `to`, (3,) metres, near a location is free and within bounds.
@@ -157,19 +157,22 @@ class Course:
 class SearchLanes:
     """The lanes of a search, flown one after the other.
 
-    The outermost lane lies so far inside the searched square that its pictures reach the edge of the square.
+    The outermost lane lies so far inside the searched square that its pictures reach the edge of the square. A lane is
+    at least as long as the leg of a look from its height: without motion, a single camera measures no heights.
 
     Args:
-        home: middle of the square, (3,) metres, at the search height above the ground, as far as that is known.
-        bounds: bounds of the vehicle; a corner outside moves to the nearest position inside.
+        home: middle of the square, (3,) metres, at the first search height above the ground, as far as that is known.
+        bounds: bounds of the vehicle; a corner outside moves to the nearest position inside. Lanes are flown at its
+            `search_height`.
     """
 
     def __init__(self, home: F64, keys: ExecutiveSettings, bounds: Bounds) -> None:
-        shown = 0.75 * keys.search_height  # m, shorter side of a picture on the ground
-        corners = square_spiral(home, max(keys.search_side - shown, 0.0), keys.lane * shown)
+        self._height, self._ground = bounds.search_height, float(home[2]) - keys.search_height
+        shown = 0.75 * self._height  # m, shorter side of a picture on the ground
+        side = max(keys.search_side - shown, 2.0 * keys.look_base * self._height)
+        corners = square_spiral(home, side, keys.lane * shown)
         self._corners = (bounds.nearest(np.array(corner)) for corner in corners)
         self._arrived = keys.arrived
-        self._height, self._ground = keys.search_height, float(home[2]) - keys.search_height
         self._corner = next(self._corners)
         self.over = False  # whether the whole square was searched
 
