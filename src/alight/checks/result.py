@@ -23,6 +23,7 @@ class CheckResult:
     verdict: Judged
     evidence: str  # numbers with units, or the reason why the check cannot tell
     mend: str = ""  # remedy in one sentence; empty if none is needed
+    lasts: bool = False  # whether the same check, repeated, will find the same
 
     @property
     def line(self) -> str:
@@ -36,9 +37,9 @@ def good(name: str, evidence: str) -> CheckResult:
     return CheckResult(name, Judged.GOOD, evidence)
 
 
-def bad(name: str, evidence: str, mend: str) -> CheckResult:
-    """Return the result of a check that found a fault."""
-    return CheckResult(name, Judged.BAD, evidence, mend)
+def bad(name: str, evidence: str, mend: str, lasts: bool = False) -> CheckResult:
+    """Return the result of a check that found a fault; `lasts`: see `CheckResult`."""
+    return CheckResult(name, Judged.BAD, evidence, mend, lasts)
 
 
 def warning(name: str, evidence: str, mend: str) -> CheckResult:

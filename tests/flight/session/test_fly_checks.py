@@ -16,7 +16,7 @@ from made_up_ground import Ground
 from pilot_rig import PilotRig, seldom
 from session_rig import Clock
 
-from alight.checks.result import CheckResult, Judged
+from alight.checks.result import CheckResult, Judged, bad
 from alight.flight.autopilot import StreamRate
 from alight.flight.live.speed import Speed, measure_speed
 from alight.flight.session import checks
@@ -285,6 +285,33 @@ def test_the_speed_and_the_vehicle_are_waited_for_and_neither_for_ever(
     assert r.t - begin == pytest.approx(seconds, abs=0.2)
     assert lines[0] == "its speed is being measured"
     assert words in next(c.evidence for c in found.found if c.name == "computer")
+
+
+@pytest.mark.parametrize(("lasts", "seconds"), [(True, 0.0), (False, 5.0)])
+def test_only_what_may_change_is_waited_for(lasts: bool, seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    r = rig()
+    r.ready()
+    monkeypatch.setattr(checks, "time", Clock(r))
+    monkeypatch.setattr(checks, "PATIENCE", 5.0)
+    feed: Any = SimpleNamespace(autopilot=r.ours)
+    found = checks.FlightChecks(FlightRequest("udp:x", "camera:0", Path("out"), Settings()), feed, [])
+    begin = r.t
+    assert not found.repeat(lambda: [bad("fence", "it leaves no room", "move it", lasts)], lambda: None)
+    assert r.t - begin == pytest.approx(seconds, abs=0.2)
+
+
+def test_a_parameter_that_must_be_set_ends_the_wait_for_the_vehicle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its value is read once, so that 90 s of waiting would change nothing."""
+    r, speed = rig(), Future[Speed]()
+    r.sim.memory.parameters["FS_EKF_ACTION"] = 0
+    monkeypatch.setattr(checks, "time", Clock(r))
+    known = SimpleNamespace(missing="", local=None)
+    feed: Any = SimpleNamespace(lock=nullcontext(), autopilot=r.ours, located=False, events_of=known)
+    found = checks.FlightChecks(FlightRequest("udp:x", "camera:0", Path("out"), Settings()), feed, [])
+    begin = r.t
+    assert not found.wait_for_vehicle(speed, lambda status: None, lambda line: None)
+    assert r.t - begin < 20.0
+    assert {c.name: c.verdict for c in found.found}["FS_EKF_ACTION"] is BAD
 
 
 @long

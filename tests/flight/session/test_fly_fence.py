@@ -97,9 +97,12 @@ def judged(r: PilotRig, plan: list[MissionItem] | None) -> CheckResult:
     if plan is None:
         del r.sim.memory.plans[FENCE]
     r.vehicle.onboard.rebooted()
-    assert p.judge_fence(r.vehicle, Settings())[0].verdict is Judged.BAD  # until it is read
+    first = p.judge_fence(r.vehicle, Settings())[0]
+    assert (first.verdict, first.lasts) == (Judged.BAD, False)  # until it is read
     assert r.run(20.0, lambda: r.vehicle.onboard.over)
-    return p.judge_fence(r.vehicle, Settings())[0]
+    found = p.judge_fence(r.vehicle, Settings())[0]
+    assert found.lasts is (found.verdict is Judged.BAD)
+    return found
 
 
 def test_the_check_names_the_fence_and_what_it_leaves() -> None:
@@ -152,6 +155,7 @@ def test_a_parameter_that_differs_is_named(dialect: FirmwareName, name: str, val
     assert f"it is {value:g}" in found[name].evidence
     assert found[name].mend.startswith(f"set {name} to ")
     assert "LAND_SPEED" in found["parameters"].evidence
+    assert found[name].lasts is (verdict is Judged.BAD)
 
 
 @BOTH

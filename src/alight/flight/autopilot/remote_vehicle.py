@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ from alight.geometry.zones import Region
 from alight.records import FlightMode, NoticeKind, Place, Telemetry
 
 _FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer is no evidence of a reboot
+_fence_region = lru_cache(maxsize=4)(fence_region)  # checks before a flight are repeated
 
 
 class Displacement(NamedTuple):
@@ -128,7 +130,7 @@ class RemoteVehicle:
             InputError: the fence cannot be understood; the message names the item.
         """
         united = self.firmware.unites_inclusions(self.onboard.parameters)
-        return fence_region(self.onboard.fence.items or (), local, united)
+        return _fence_region(self.onboard.fence.items or (), local, united)
 
     def tie(self, local: LocalFrame, position_world: F64, t_ns: int) -> EstimateTie | None:
         """Tie our position, `position_world` at `t_ns` of our clock, to the autopilot's position at the same instant.

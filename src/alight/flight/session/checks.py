@@ -40,7 +40,7 @@ class FlightChecks:
     def wait_for_vehicle(self, speed: Future[Speed], on_status: OnStatus, on_line: OnLine) -> bool:
         """Wait until an autopilot has reported its position, and the speed of this computer is measured.
 
-        After `PATIENCE` seconds nothing is waited for any more.
+        After `PATIENCE` seconds, or once a bad result will not change, nothing is waited for any more.
 
         Args:
             speed: measurement that is being made.
@@ -69,7 +69,7 @@ class FlightChecks:
             if located and (is_measured or over):
                 self.found = [*machine, computer]  # the others are repeated
                 return True
-            if over:
+            if over or _is_hopeless(self.found):
                 return False
             time.sleep(STEP)
 
@@ -81,6 +81,7 @@ class FlightChecks:
     ) -> bool:
         """Repeat the checks until no result is bad, `is_over()` is true or time is up; return whether none is bad.
 
+        A bad result that will not change ends them at once.
         Results of earlier checks are kept, unless one of the same name replaces them. `on_step` is called after each
         repetition.
         """
@@ -93,7 +94,7 @@ class FlightChecks:
             verdicts, waited = {c.verdict for c in found}, time.monotonic() - begin
             well = Judged.BAD not in verdicts
             settled = waited > SETTLED or Judged.WARNING not in verdicts
-            if (well and settled) or waited > PATIENCE or is_over():
+            if (well and settled) or waited > PATIENCE or _is_hopeless(found) or is_over():
                 return well
             time.sleep(STEP)
 
@@ -135,3 +136,8 @@ class FlightChecks:
         if plan.zones is not None:
             stored.append(preflight.judge_zones(vehicle, plan.zones, feed.events_of.local, plan.settings))
         return [*found, *checks, preflight.judge_imu(vehicle, plan.imu_rate), *stored]
+
+
+def _is_hopeless(found: Sequence[CheckResult]) -> bool:
+    """Whether a check found a fault that no wait mends."""
+    return any(c.verdict is Judged.BAD and c.lasts for c in found)

@@ -16,7 +16,19 @@ from alight.flight.executive.bounds import Bounds
 from alight.flight.live.sight import SightNavigation
 from alight.flight.live.speed import LASTS, Speed
 from alight.geometry import LocalFrame
-from alight.records import FIX_3D, InputError, Landed, Motion, MotionState, Rig, Telemetry, Zones, ZonesOnPlane
+from alight.geometry.zones import EVERYWHERE, Region
+from alight.records import (
+    FIX_3D,
+    NO_ZONES,
+    InputError,
+    Landed,
+    Motion,
+    MotionState,
+    Rig,
+    Telemetry,
+    Zones,
+    ZonesOnPlane,
+)
 from alight.settings import Settings
 
 LEAST_RATE, GOOD_RATE = 2.0, 4.0  # exposures per second
@@ -118,7 +130,8 @@ def judge_imu(vehicle: RemoteVehicle, wanted: float) -> CheckResult:
         why = "none is requested: where this was tried, no height was measured"
         return warning("IMU", why, "leave out --imu 0")
     if wanted < LEAST_IMU:
-        return bad("IMU", f"{wanted:.0f} samples a second are requested", f"give --imu {LEAST_IMU:.0f} or more")
+        mend = f"give --imu {LEAST_IMU:.0f} or more"
+        return bad("IMU", f"{wanted:.0f} samples a second are requested", mend, lasts=True)
     if missing := [n for n in vehicle.missing_streams if n in INERTIAL]:
         why = f"{', '.join(missing)}: no sample has come for some seconds"
         return bad("IMU", why, "see that the link has room for them; without any no height is measured")
@@ -142,7 +155,8 @@ def judge_parameters(vehicle: RemoteVehicle, odometry: bool = False) -> list[Che
         return [bad("parameters", "they are being read", "wait")]
     read = {p: data.parameters[name] for name, p in table.items() if name in data.parameters}
     differ = [p for p, value in read.items() if not p.is_accepted(value)]
-    found = [(bad if p.needed else warning)(p.name, f"it is {read[p]:g}: {p.why}", p.remedy) for p in differ]
+    words = [(p, f"it is {read[p]:g}: {p.why}") for p in differ]
+    found = [bad(p.name, w, p.remedy, lasts=True) if p.needed else warning(p.name, w, p.remedy) for p, w in words]
     number = f"{len(read)} read, {len(differ)} to set otherwise"
     if missing := [name for name in table if name not in data.parameters]:
         return [*found, unknown("parameters", f"{number}; no answer for {', '.join(missing)}: look at them yourself")]
@@ -157,26 +171,36 @@ def judge_fence(vehicle: RemoteVehicle, settings: Settings) -> list[CheckResult]
     points = "rally points cannot be had" if rally.items is None else f"{len(rally.items)} rally points"
     if fence.items is None and fence.count:
         why = f"the autopilot announces one (items: {fence.count}), and it cannot be had: {fence.failed}"
-        return [bad("fence", why, "mend the link and begin again, or upload the fence again")]
+        return [bad("fence", why, "mend the link and begin again, or upload the fence again", lasts=True)]
     if fence.items is None:
         act = "its own fence still acts; see the link, or keep the search far from it"
         return [warning("fence", f"it cannot be had ({fence.failed}); {points}", act)]
     if not fence.items:
         return [good("fence", f"the autopilot has none; {points}")]
-    if place is None:
+    if place is None or not vehicle.telemetry.has_position:
         return [bad("fence", "no position yet, so it cannot be judged", "wait")]
-    local = LocalFrame(place.latitude, place.longitude, place.altitude_msl)
+    local = LocalFrame(round(place.latitude, 5), round(place.longitude, 5), 0.0)  # to a metre, as checks are repeated
     try:
         region = vehicle.fence_of(local)
     except InputError as e:
-        return [bad("fence", str(e), "mend it in the ground station, and upload it again")]
-    bounds, at, side = Bounds(settings.stages(), region), np.zeros(2), settings.executive.search_side
+        return [bad("fence", str(e), "mend it in the ground station, and upload it again", lasts=True)]
+    bounds, at, side = _bounds(settings, region), on_plane(local, place), settings.executive.search_side
     share, names = bounds.share(side), ", ".join(z.name for z in region.zones)
     if not bounds.has_disc(at) or share == 0.0:
         why = f"the search area is outside, or the vehicle's disc has no room in it: {bounds.limit(at)}"
-        return [bad("fence", why, "fly to where there is room, or move the fence")]
+        return [bad("fence", why, "fly to where there is room, or move the fence", lasts=True)]
     left = f"{names}; {100 * share:.0f} % of the search area are inside; {points}"
     return [good("fence", left) if share > 0.5 else warning("fence", left, "search elsewhere, or set a smaller margin")]
+
+
+@lru_cache(maxsize=4)  # checks are repeated
+def _bounds(
+    settings: Settings,
+    fence: Region = EVERYWHERE,
+    zones: ZonesOnPlane = NO_ZONES,
+    start: tuple[float, ...] = (0.0, 0.0),
+) -> Bounds:
+    return Bounds(settings.stages(), fence, np.array(start), zones)
 
 
 @lru_cache(maxsize=1)  # checks are repeated
@@ -197,12 +221,12 @@ def judge_zones(
     try:
         near = _in_world(zones, local)
     except InputError as e:
-        return bad("zones", str(e), "mend the file")
+        return bad("zones", str(e), "mend the file", lasts=True)
     at, above, disc = on_plane(local, place), place.above_home, settings.lander.reach
     if within := [z for z in near.limits(above, at) if not z.keeps_in and z.depth(at[None])[0] > -disc]:
         why = f"it hovers {above:.0f} m above home, below the floor of {within[0].name}"
         return bad("zones", why, "fly out of the zone, or climb above its floor")
-    share = Bounds(settings.stages(), start=at, zones=near).share(settings.executive.search_side)
+    share = _bounds(settings, zones=near, start=tuple(np.round(at).tolist())).share(settings.executive.search_side)
     left = f"{near.note}; {100 * share:.0f} % of the search area are left"
     if share == 0.0:
         return bad("zones", left, "fly to where there is room, or change the zones")

@@ -100,7 +100,8 @@ def checked_vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
     nav = world.sensors.nav.model_copy(update={"position": c.gps_sigma, "position_tau": c.gps_tau})
     east, north, up = world.start
     vehicle = SteeredFlight(
-        world, c.flight_seed, start=(east, north, max(up, settings.executive.search_height)), heading=c.heading, wind=(*c.wind, 0.0), gusts=c.gusts, nav=nav,
+        world, c.flight_seed, start=(east, north, max(up, settings.executive.search_height)), heading=c.heading,
+        wind=(*c.wind, 0.0), gusts=c.gusts, nav=nav,
         radius=OracleLander.of(settings.lander.model_dump()).reach,
         limits=PX4_CONTROLLER if c.firmware == "px4" else None,
     )  # fmt: skip
