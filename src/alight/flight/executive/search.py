@@ -34,7 +34,7 @@ class SearchStep(NamedTuple):
 
 
 class Search:
-    """Flies to each of the `goals`, then along the lanes of the search; without a place, along lanes at half the height.
+    """Flies to each of the `goals`, then along the lanes of the search; without a place, from half the height.
 
     A goal is judged by the verdicts from above it, like any place: then it is visited, or refused. It counts as refused
     too if the place that is visited for it is.
