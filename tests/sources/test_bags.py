@@ -152,6 +152,29 @@ def test_pictures_of_every_encoding(bag: Write, encoding: str) -> None:
     assert np.abs(left[2:-2, 2:-2].astype(int) - want[2:-2, 2:-2]).max() <= 2
 
 
+def sixteen_bits(m: Drawn) -> Iterator[Drawn]:
+    """The left camera gives 16 bits, raw or as PNG."""
+    if m.topic != LEFT:
+        yield m
+    elif m.type.endswith("CompressedImage"):
+        yield compressed(LEFT, m.t_ns, "cam0", np.full(d.SIZE[::-1], 900, np.uint16))
+    else:
+        step, data = 2 * d.SIZE[0], np.zeros(2 * d.SIZE[0] * d.SIZE[1], np.uint8)
+        yield m._replace(fields=m.fields | {"encoding": "mono16", "step": step, "data": data})
+
+
+@pytest.mark.parametrize(("picture", "why"), [(image, "encoding 'mono16'"), (compressed, "format 'png' of 16 bits")])
+def test_pictures_of_sixteen_bits_are_refused_by_name(bag: Write, picture: Any, why: str) -> None:
+    path = bag("mcap", sixteen_bits, picture=picture)
+    words = f"--topic left={LEFT}: {why} is not read; record 8 bits a colour, such as mono8 or rgb8"
+    with pytest.raises(InputError, match=re.escape(words)):
+        open_source(path, topics={"left": LEFT})
+    assert "topics: left=/cam1/image_raw (" in open_source(path).notes["log"][0]
+    path = bag("ros1", lambda m: sixteen_bits(m) if m.topic != RIGHT else (), picture=picture)
+    with pytest.raises(InputError, match=re.escape(f"no pictures that can be read ({LEFT}: {why}); record 8 bits")):
+        open_source(path)
+
+
 def info(**new: Any) -> Callable[[Drawn], Iterator[Drawn]]:
     """Return a change of the calibration of the left camera."""
 

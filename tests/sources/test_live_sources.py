@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import cv2
@@ -20,6 +21,7 @@ from over_a_link import free_port
 from stereo_flight import STEREO
 
 import alight_sim
+from alight.arrays import U8
 from alight.flight.live.telemetry import with_telemetry
 from alight.records import Event, Frame, ImuSample, InputError, NavSample
 from alight.runner.opening import open_live, open_source
@@ -395,3 +397,39 @@ def test_an_autopilot_that_is_not_there_says_so(log: Path, tmp_path: Path, monke
         with_telemetry(open_live(f"video:{film},video:{film}", Settings(), rig=log), f"udp:127.0.0.1:{free_port()}")
     with pytest.raises(InputError, match="a clock of its own"):
         with_telemetry(open_live(str(log), Settings()), "udp:127.0.0.1:0")
+
+
+class Broken:
+    """A stream of three images, which then breaks off."""
+
+    left = 3
+
+    def read(self) -> tuple[bool, U8]:
+        """The next image, and whether there is one."""
+        self.left -= 1
+        return self.left >= 0, np.zeros((120, 160), np.uint8)
+
+    def get(self, _: int) -> float:
+        """No time of the driver."""
+        return 0.0
+
+    def release(self) -> None:
+        """Nothing is held."""
+
+
+def test_a_stream_that_breaks_off_is_opened_again(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its server restarts twice, and then stays away."""
+    answers: list[Any] = [Broken(), Broken(), InputError("no route"), Broken()]
+
+    def opened(name: str, size: tuple[int, int]) -> Any:
+        if not answers or isinstance(answers[0], InputError):
+            raise answers.pop(0) if answers else InputError("refused")
+        return answers.pop(0)
+
+    monkeypatch.setattr("alight.sources.capture.open_capture", opened)
+    monkeypatch.setattr("alight.sources.capture.SILENT", 0.4)
+    (tmp_path / "cam0").mkdir()
+    shutil.copy(log / "mav0" / "cam0" / "sensor.yaml", tmp_path / "cam0")
+    source = open_live("rtsp://h/s", Settings(), rig=tmp_path)
+    assert sum(isinstance(e, Frame) for e in source.events) == 9
+    assert "rtsp://h/s: broke off and was opened again; motion and map have a gap there" in source.source.warnings

@@ -80,8 +80,13 @@ class LiveOptions(FlightOptions):
     ]
     speed: Annotated[float, typer.Option(min=0.01, help="Replay speed of a recording: 2 is twice as fast.")] = 1.0
     follow: Annotated[
-        bool, typer.Option("--follow", help="The folder is being filled; the run ends after 10 s without a new file.")
+        bool,
+        typer.Option(
+            "--follow", help="The folder or bag is being written; the run ends after 10 s without anything new."
+        ),
     ] = False
+    topic: options.Topic = None
+    topics: options.TopicFile = None
     telemetry: Annotated[
         str | None, typer.Option(metavar="LINK", help="Autopilot that provides GPS/INS: udp:0.0.0.0:14550.")
     ] = None
@@ -104,7 +109,8 @@ def live(o: LiveOptions) -> None:
         raise InputError("--signing-key: signs the link of --telemetry; give both or leave it out")
     if o.odometry and o.telemetry is None:
         raise InputError("--odometry: is sent over the link of --telemetry; give both or leave it out")
-    opened = open_live(o.source, chosen, o.speed, o.follow, o.rig)
+    topics = options.named_topics(o.topic, o.topics)
+    opened = open_live(o.source, chosen, o.speed, o.follow, o.rig, topics=topics)
     if o.telemetry is not None:
         from alight.flight.live.signing_key import read_signing_key
         from alight.flight.live.telemetry import with_telemetry

@@ -12,6 +12,7 @@ import os
 import threading
 import time
 from collections import Counter, deque
+from collections.abc import Sequence
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
@@ -82,11 +83,12 @@ class Recorder:
         OutputError: the file cannot be created.
     """
 
-    def __init__(self, path: Path, head: FlightHead, waiting_mb: float = 256, map_share: float = 0.04) -> None:
+    def __init__(self, path: Path, head: FlightHead, waiting_mb: float = 256, map_share: float = 0.02) -> None:
         self.path = path
         self.lost: Counter[str] = Counter()  # number of messages by reason
         self._room, self._most = 0, waiting_mb * 1_000_000  # bytes in the queue
-        self._waiting, self._changed = deque[list[RosMessage]](), threading.Condition()
+        self._waiting = deque[tuple[int, Sequence[RosMessage]]]()  # bytes and messages
+        self._changed = threading.Condition()
         self._closed, self._broken = False, ""
         self._local = head.local if head.georeferenced else None
         self._newest_ns = 0  # stamp of the newest exposure
@@ -160,11 +162,10 @@ class Recorder:
     def _put_map(
         self, t_ns: int, elevation: ElevationMap, land_cover: TerrainMap | None, hazards: HazardMap | None
     ) -> None:
-        layers = ros.map_layers(elevation, land_cover, hazards)
-        size = sum(v.nbytes for v in layers.values())
+        size = elevation.height.nbytes * (2 + (land_cover is not None) + (hazards is not None))
         if self._map_bytes + size <= self._map_share * self._bytes:
             self._map_bytes += size
-            self.put(ros.grid_map("/map", t_ns, elevation.grid, layers))
+            self.put(ros.grid_map("/map", t_ns, elevation.grid, ros.map_layers(elevation, land_cover, hazards)))
 
     def telemetry(self, t_ns: int, report: Telemetry) -> None:
         """Record a telemetry report of the autopilot."""
@@ -227,7 +228,7 @@ class Recorder:
             elif self._room + size > self._most:
                 self.lost["the disk is too slow"] += 1
             else:
-                self._waiting.append([*messages])
+                self._waiting.append((size, messages))
                 self._room += size
                 self._bytes += size
                 self._changed.notify()
@@ -239,8 +240,8 @@ class Recorder:
                 self._changed.wait_for(lambda: self._waiting or self._closed, timeout=SYNC)
                 if not self._waiting and self._closed:
                     return
-                messages = self._waiting.popleft() if self._waiting else []
-                self._room -= sum(m.size for m in messages)
+                size, messages = self._waiting.popleft() if self._waiting else (0, ())
+                self._room -= size
             if self._broken:
                 self.lost[self._broken] += bool(messages)
                 continue

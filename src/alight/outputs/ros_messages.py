@@ -7,9 +7,12 @@ body, `cam0`, `cam1` the optical frames of the cameras.
 from __future__ import annotations
 
 import json
+import math
+import re
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
+from itertools import chain, zip_longest
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,7 +53,8 @@ float64 length_y
 geometry_msgs/Pose pose
 """
 DISTORTION = {"none": "plumb_bob", "radial-tangential": "plumb_bob", "equidistant": "equidistant"}  # names of ROS
-_IMU_REST = "<3d72x3d72x"  # rates, their covariance, specific force, its covariance
+_STAMP, _NUMBER = b"a stamp!", b"a number"  # 8 bytes each: what a form has where it is filled
+_OPEN_NS, _OPEN = int(np.dot(struct.unpack("<iI", _STAMP), (10**9, 1))), struct.unpack("<d", _NUMBER)[0]
 COLOURS = {"site": "#1a9850", "candidate": "#f39c12"}
 
 
@@ -65,7 +69,7 @@ class RosMessage(NamedTuple):
     @property
     def size(self) -> int:
         """Number of bytes."""
-        return sum(len(p) for p in self.parts)
+        return sum(map(len, self.parts))
 
 
 @lru_cache(maxsize=1)
@@ -85,7 +89,12 @@ def definition_of(kind: str) -> bytes:
 
 def _new(kind: str, *values: Any) -> Any:
     """Return a message, or a part of one, from the values of its fields in order."""
-    return _store().types[kind.replace("/", "/msg/")](*values)
+    return _class_of(kind)(*values)
+
+
+@lru_cache(maxsize=64)
+def _class_of(kind: str) -> Any:
+    return _store().types[kind.replace("/", "/msg/")]
 
 
 def _encoded(topic: str, t_ns: int, message: Any) -> RosMessage:
@@ -93,8 +102,12 @@ def _encoded(topic: str, t_ns: int, message: Any) -> RosMessage:
     return RosMessage(topic, kind, t_ns, [bytes(_store().serialize_cdr(message, kind))])
 
 
-def _time(t_ns: int) -> Any:
-    return _new("builtin_interfaces/Time", t_ns // 10**9, t_ns % 10**9)
+def _time(t_ns: int, kind: str = "Time") -> Any:
+    return _new(f"builtin_interfaces/{kind}", *_stamp(t_ns))
+
+
+def _stamp(t_ns: int) -> tuple[int, int]:
+    return t_ns // 10**9, t_ns % 10**9
 
 
 def _header(t_ns: int, frame: str) -> Any:
@@ -106,6 +119,29 @@ def _stamped(head: bytes, t_ns: int) -> bytes:
     return head[:4] + struct.pack("<iI", t_ns // 10**9, t_ns % 10**9) + head[12:]
 
 
+class _Form:
+    """A message that is encoded once, and then filled with stamps and numbers: faster than a new one each time.
+
+    Args:
+        message: one with the time `_OPEN_NS` and the number `_OPEN` where it is filled.
+    """
+
+    def __init__(self, message: Any) -> None:
+        self._type = message.__msgtype__
+        encoded = bytes(_store().serialize_cdr(message, self._type))
+        pieces = re.split(b"(%b|(?:%b)+)" % (_STAMP, _NUMBER), encoded)
+        self._fixed = pieces[::2]
+        runs = ["iI" if run == _STAMP else f"{len(run) // len(_NUMBER)}d" for run in pieces[1::2]]
+        texts = [f"{len(piece)}s" for piece in self._fixed]
+        self._struct = struct.Struct("<" + "".join(chain.from_iterable(zip_longest(texts, runs, fillvalue=""))))
+
+    def filled(self, topic: str, t_ns: int, *runs: Iterable[float]) -> RosMessage:
+        """Return the message with stamps and numbers in the order of its fields, each run of them by itself."""
+        *fixed, end = self._fixed
+        values = chain.from_iterable(chain((text,), run) for text, run in zip(fixed, runs, strict=True))
+        return RosMessage(topic, self._type, t_ns, [self._struct.pack(*values, end)])
+
+
 def _vector(v: Iterable[float], kind: str = "Vector3") -> Any:
     return _new(f"geometry_msgs/{kind}", *map(float, v))
 
@@ -114,9 +150,15 @@ def _pose(pose: Pose) -> Any:
     return _new("geometry_msgs/Pose", _vector(pose.translation, "Point"), _turn(pose))
 
 
-def _turn(pose: Pose) -> Any:
-    w, *xyz = pose.quaternion
-    return _vector((*xyz, w), "Quaternion")
+def _turn(pose: Pose | None) -> Any:
+    """Return an orientation; None: of a form, to be filled."""
+    return _vector([_OPEN] * 4 if pose is None else _numbers(pose)[3:], "Quaternion")
+
+
+def _numbers(pose: Pose) -> list[float]:
+    """Return the numbers of a pose in the order of ROS: x, y, z, and the quaternion's x, y, z, w."""
+    w, *xyz = pose.quaternion.tolist()
+    return [*pose.translation.tolist(), *xyz, w]
 
 
 def text(topic: str, t_ns: int, words: str) -> RosMessage:
@@ -178,26 +220,34 @@ def at(message: RosMessage, t_ns: int) -> RosMessage:
 
 
 @lru_cache(maxsize=1)
-def _imu_head() -> bytes:
-    """Return the bytes of an Imu before its rates, without its stamp; its orientation is not measured (-1)."""
-    none, turn = np.array([-1.0, *[0.0] * 8]), _turn(Pose())
-    zero = _vector(np.zeros(3))
-    message = _new("sensor_msgs/Imu", _header(0, BODY), turn, none, zero, np.zeros(9), zero, np.zeros(9))
-    return bytes(_store().serialize_cdr(message, message.__msgtype__))[: -struct.calcsize(_IMU_REST)]
+def _imu_form() -> _Form:
+    none, unknown, open_vector = np.array([-1.0, *[0.0] * 8]), np.zeros(9), _vector([_OPEN] * 3)
+    return _Form(
+        _new(
+            "sensor_msgs/Imu", _header(_OPEN_NS, BODY), _turn(Pose()), none, open_vector, unknown, open_vector, unknown
+        )
+    )
 
 
 def imu(topic: str, sample: ImuSample) -> RosMessage:
     """Return an inertial measurement of unknown covariance (0), without an orientation (-1)."""
-    rest = struct.pack(_IMU_REST, *sample.angular_velocity_body, *sample.specific_force_body)
-    return RosMessage(topic, "sensor_msgs/msg/Imu", sample.t_ns, [_stamped(_imu_head(), sample.t_ns), rest])
+    runs = sample.angular_velocity_body.tolist(), sample.specific_force_body.tolist()
+    return _imu_form().filled(topic, sample.t_ns, _stamp(sample.t_ns), *runs)
+
+
+@lru_cache(maxsize=2)
+def _fix_form(covariance_type: int) -> _Form:
+    status = _new("sensor_msgs/NavSatStatus", 0, 1)  # a fix, of GPS
+    header, numbers = _header(_OPEN_NS, BODY), (*[_OPEN] * 3, np.full(9, _OPEN))
+    return _Form(_new("sensor_msgs/NavSatFix", header, status, *numbers, covariance_type))
 
 
 def fix(topic: str, t_ns: int, position_world: F64, covariance: F64 | None, local: LocalFrame) -> RosMessage:
     """Return a position on Earth; `covariance`: (3, 3) m^2, east north up; None: unknown."""
-    place = [float(v) for v in local.to_geodetic(position_world)]
-    known = (np.zeros(9), 0) if covariance is None else (covariance.ravel(), 3)
-    status = _new("sensor_msgs/NavSatStatus", 0, 1)  # a fix, of GPS
-    return _encoded(topic, t_ns, _new("sensor_msgs/NavSatFix", _header(t_ns, BODY), status, *place, *known))
+    known, kind = (np.zeros(9), 0) if covariance is None else (covariance.ravel(), 3)
+    return _fix_form(kind).filled(
+        topic, t_ns, _stamp(t_ns), [*map(float, local.to_geodetic(position_world)), *known.tolist()]
+    )
 
 
 def gps_fix(topic: str, sample: NavSample, local: LocalFrame) -> Iterator[RosMessage]:
@@ -207,31 +257,48 @@ def gps_fix(topic: str, sample: NavSample, local: LocalFrame) -> Iterator[RosMes
         yield fix(topic, sample.t_ns, place, None if sigma is None else np.diag(sigma**2), local)
 
 
-def odometry(topic: str, motion: Motion) -> RosMessage:
-    """Return a motion in the estimator's map frame; NaN: velocity unknown."""
-    body, unknown = motion.world_from_body, np.full(3, np.nan)
-    velocity = unknown if motion.velocity_world is None else body.rotation.T @ motion.velocity_world
-    pose = _new("geometry_msgs/PoseWithCovariance", _pose(body), motion.covariance.ravel())
-    twist = _new("geometry_msgs/Twist", _vector(velocity), _vector(unknown))
-    twist = _new("geometry_msgs/TwistWithCovariance", twist, np.zeros(36))
-    return _encoded(topic, motion.t_ns, _new("nav_msgs/Odometry", _header(motion.t_ns, ODOMETRY), BODY, pose, twist))
+@lru_cache(maxsize=1)
+def _odometry_form() -> _Form:
+    open_vector, pose = _vector([_OPEN] * 3), _new("geometry_msgs/Pose", _vector([_OPEN] * 3, "Point"), _turn(None))
+    pose = _new("geometry_msgs/PoseWithCovariance", pose, np.full(36, _OPEN))
+    twist = _new(
+        "geometry_msgs/TwistWithCovariance", _new("geometry_msgs/Twist", open_vector, open_vector), np.zeros(36)
+    )
+    return _Form(_new("nav_msgs/Odometry", _header(_OPEN_NS, ODOMETRY), BODY, pose, twist))
+
+
+def _odometry(topic: str, motion: Motion, pose: list[float]) -> RosMessage:
+    """Return a motion in the estimator's map frame, its `pose` as `_numbers`; NaN: velocity unknown."""
+    unknown = [np.nan] * 3
+    seen = motion.velocity_world
+    velocity = unknown if seen is None else (motion.world_from_body.rotation.T @ seen).tolist()
+    numbers = [*pose, *motion.covariance.ravel().tolist(), *velocity, *unknown]
+    return _odometry_form().filled(topic, motion.t_ns, _stamp(motion.t_ns), numbers)
+
+
+@lru_cache(maxsize=8)
+def _transforms_form(frames: tuple[tuple[str, str], ...]) -> _Form:
+    turn = _new("geometry_msgs/Transform", _vector([_OPEN] * 3), _turn(None))
+    found = [_new("geometry_msgs/TransformStamped", _header(_OPEN_NS, a), b, turn) for a, b in frames]
+    return _Form(_new("tf2_msgs/TFMessage", found))
 
 
 def transforms(topic: str, t_ns: int, poses: Mapping[tuple[str, str], Pose]) -> RosMessage:
     """Return transforms of tf; the keys are (parent, child)."""
-    found = []
-    for (parent, child), pose in poses.items():
-        turn = _new("geometry_msgs/Transform", _vector(pose.translation), _turn(pose))
-        found.append(_new("geometry_msgs/TransformStamped", _header(t_ns, parent), child, turn))
-    return _encoded(topic, t_ns, _new("tf2_msgs/TFMessage", found))
+    return _transforms(topic, t_ns, {frames: _numbers(pose) for frames, pose in poses.items()})
+
+
+def _transforms(topic: str, t_ns: int, poses: Mapping[tuple[str, str], list[float]]) -> RosMessage:
+    runs = chain.from_iterable((_stamp(t_ns), pose) for pose in poses.values())
+    return _transforms_form((*poses,)).filled(topic, t_ns, *runs)
 
 
 def motion_messages(motion: Motion) -> Iterator[RosMessage]:
     """Yield a motion as odometry, its frames as tf, and its state as diagnostics."""
-    t_ns = motion.t_ns
-    yield odometry("/motion", motion)
-    offset = Pose() if motion.offset_world is None else Pose(np.eye(3), motion.offset_world)
-    yield transforms("/tf", t_ns, {(WORLD, ODOMETRY): offset, (ODOMETRY, BODY): motion.world_from_body})
+    t_ns, pose = motion.t_ns, _numbers(motion.world_from_body)
+    yield _odometry("/motion", motion, pose)
+    offset = [0.0] * 3 if motion.offset_world is None else motion.offset_world.tolist()
+    yield _transforms("/tf", t_ns, {(WORLD, ODOMETRY): [*offset, 0.0, 0.0, 0.0, 1.0], (ODOMETRY, BODY): pose})
     level = {MotionState.GOOD: 0, MotionState.LOST: 2}.get(motion.state, 1)
     words = f"{motion.state.name.lower()}{f': {motion.why}' if motion.why else ''}"
     values = {"frame_id": motion.frame_id, "tracks": motion.tracks}
@@ -241,16 +308,20 @@ def motion_messages(motion: Motion) -> Iterator[RosMessage]:
 def map_layers(elevation: ElevationMap, land_cover: TerrainMap | None, hazards: HazardMap | None) -> dict[str, F32]:
     """Return the layers of a map by name, each (R, C) on the grid of the heights; NaN is unknown."""
     trusted, grid = elevation.trusted, elevation.grid
-    layers: dict[str, Any] = {
-        "elevation": np.where(trusted, elevation.height, np.nan),
-        "sigma": np.where(trusted, elevation.relative_sigma, np.nan),
-    }
+    layers = {"elevation": elevation.height, "sigma": elevation.relative_sigma}
+    layers = {name: np.where(trusted, values, np.float32(np.nan)) for name, values in layers.items()}
     if hazards is not None:
-        layers["p_safe"] = hazards.on(grid).p_safe
+        layers["p_safe"] = _on(grid, hazards.grid, hazards.p_safe)
     if land_cover is not None:
-        label = land_cover.on(grid).label
-        layers["land_cover"] = np.where(label == Terrain.UNKNOWN, np.nan, label)
-    return {name: values.astype(np.float32) for name, values in layers.items()}
+        label = land_cover.label
+        cover = np.where(label == Terrain.UNKNOWN, np.float32(np.nan), label)
+        layers["land_cover"] = _on(grid, land_cover.grid, cover)
+    return {name: values.astype(np.float32, copy=False) for name, values in layers.items()}
+
+
+def _on(grid: Grid, own: Grid, values: F32) -> F32:
+    """Return values on the grid `own` on another, of the nearest cells; NaN: outside."""
+    return values if own == grid else own.nearest_on(grid, values, np.nan)
 
 
 def grid_map(topic: str, t_ns: int, grid: Grid, layers: Mapping[str, F32]) -> RosMessage:
@@ -275,50 +346,55 @@ def grid_map(topic: str, t_ns: int, grid: Grid, layers: Mapping[str, F32]) -> Ro
     )  # fmt: skip
 
 
-def _approach(position_world: F64, heading: float) -> Pose:
+def _approach(position_world: F64, heading: float) -> Any:
     """Return the pose of a vehicle that looks into a heading, rad clockwise from north; NaN: east."""
-    yaw = np.nan_to_num(np.pi / 2 - heading)
-    return Pose.from_quaternion([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)], position_world)
+    half = 0.0 if math.isnan(heading) else math.pi / 4 - heading / 2
+    turn = _vector((0.0, 0.0, math.sin(half), math.cos(half)), "Quaternion")
+    return _new("geometry_msgs/Pose", _vector(position_world.tolist(), "Point"), turn)
 
 
-def _poses(topic: str, t_ns: int, poses: Iterable[Pose]) -> RosMessage:
-    return _encoded(topic, t_ns, _new("geometry_msgs/PoseArray", _header(t_ns, WORLD), [_pose(p) for p in poses]))
+def _poses(topic: str, t_ns: int, poses: Sequence[Any]) -> RosMessage:
+    return _encoded(topic, t_ns, _new("geometry_msgs/PoseArray", _header(t_ns, WORLD), poses))
 
 
 def route_poses(topic: str, t_ns: int, route: Route) -> RosMessage:
     """Return the way-points of a route as poses, in order."""
-    return _poses(topic, t_ns, (_approach(w.position_world, w.heading) for w in route.waypoints))
+    return _poses(topic, t_ns, [_approach(w.position_world, w.heading) for w in route.waypoints])
 
 
 def sites_messages(topic: str, t_ns: int, sites: Sites) -> Iterator[RosMessage]:
     """Yield sites and candidates in order of rank: as markers with P(safe) in words, and as poses."""
     delete_all, cylinder, words = 3, 3, 9
-    markers = [_marker(t_ns, (delete_all, 0, 0), Pose(), np.ones(3), (0.0,) * 4)]
-    for site in sites.listed:
-        pose = _approach(site.position_world, site.heading)
-        colour = *(v / 255 for v in rgb(COLOURS[site.kind])), 1.0
+    whole, white = _vector([1.0] * 3), _new("std_msgs/ColorRGBA", *[1.0] * 4)
+    markers = [_marker(t_ns, (delete_all, 0, 0), _approach(np.zeros(3), math.nan), whole, white)]
+    poses = [_approach(s.position_world, s.heading) for s in sites.listed]
+    for site, pose in zip(sites.listed, poses, strict=True):
+        colour = _new("std_msgs/ColorRGBA", *(v / 255 for v in rgb(COLOURS[site.kind])), 1.0)
         label = f"{site.kind} {site.rank}: P(safe) {p_safe_text(site.p_safe)}"
         markers.append(_marker(t_ns, (0, cylinder, site.rank), pose, _disc(site), colour))
-        markers.append(_marker(t_ns, (0, words, site.rank), pose, np.ones(3), (1.0,) * 4, label))
+        markers.append(_marker(t_ns, (0, words, site.rank), pose, whole, white, label))
     yield _encoded(topic, t_ns, _new("visualization_msgs/MarkerArray", markers))
-    yield _poses(f"{topic}/poses", t_ns, (_approach(s.position_world, s.heading) for s in sites.listed))
+    yield _poses(f"{topic}/poses", t_ns, poses)
 
 
-def _disc(site: Site) -> F64:
-    """Return the size of a site's marker, (3,) metres: a flat disc of its free radius."""
-    width = 2 * float(np.nan_to_num(site.radius, nan=0.5))
-    return np.array([width, width, width / 50])
+def _disc(site: Site) -> Any:
+    """Return the size of a site's marker: a flat disc of its free radius, metres."""
+    width = 1.0 if math.isnan(site.radius) else 2 * float(site.radius)
+    return _vector((width, width, width / 50))
 
 
-def _marker(
-    t_ns: int, what: tuple[int, int, int], pose: Pose, scale: F64, colour: Sequence[float], words: str = ""
-) -> Any:
+@lru_cache(maxsize=1)
+def _no_mesh() -> tuple[Any, Any, Any]:
+    """Return the texture, mesh and lifetime of a marker that has none."""
+    texture = _new("sensor_msgs/CompressedImage", _header(0, ""), "", np.empty(0, np.uint8))
+    return texture, _new("visualization_msgs/MeshFile", "", np.empty(0, np.uint8)), _time(0, "Duration")
+
+
+def _marker(t_ns: int, what: tuple[int, int, int], pose: Any, scale: Any, colour: Any, words: str = "") -> Any:
     """Return a marker; `what`: its action, its type, and its number."""
     action, kind, number = what
-    texture = _new("sensor_msgs/CompressedImage", _header(t_ns, ""), "", np.empty(0, np.uint8))
-    file = _new("visualization_msgs/MeshFile", "", np.empty(0, np.uint8))
+    texture, file, always = _no_mesh()
     return _new(
         "visualization_msgs/Marker", _header(t_ns, WORLD), "label" if words else "place", number, kind, action,
-        _pose(pose), _vector(scale), _new("std_msgs/ColorRGBA", *colour), _new("builtin_interfaces/Duration", 0, 0),
-        False, [], [], "", texture, [], words, "", file, False,
+        pose, scale, colour, always, False, [], [], "", texture, [], words, "", file, False,
     )  # fmt: skip

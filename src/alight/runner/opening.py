@@ -185,24 +185,33 @@ def open_live(
     follow: bool = False,
     rig: Path | None = None,
     stopped: Callable[[], bool] = lambda: False,
+    topics: Mapping[str, str] | None = None,
+    idle: float = 10.0,
 ) -> LiveSource:
     """Open the source of a live run.
 
     Args:
-        name: flight log, recording, folder that is being filled, or cameras separated by commas.
+        name: flight log, recording, bag, folder or bag that is being filled, or cameras separated by commas.
         speed: playback speed of a recording; 2 is twice as fast as the flight.
-        follow: whether `name` is a folder that is being filled.
+        follow: whether `name` is a folder or a bag that is being filled.
         rig: folder with the calibration of cameras.
         stopped: called now and then; the events end when it returns True.
+        topics: for a ROS bag, as for `open_source`.
+        idle: s without anything new after which a folder or a bag that is being filled is complete.
 
     Raises:
         InputError: the name is no source, or cannot be used; the message names what was looked for.
     """
-    from alight.sources.live import LiveSource, is_cameras, open_sensors, paced
+    from alight.sources.bags.growing_bag import is_growing_bag, open_growing_bag
+    from alight.sources.bags.growth import Growth
+    from alight.sources.live import PATIENCE, LiveSource, is_cameras, open_sensors, paced
 
+    if follow and not is_cameras(name) and is_growing_bag(Path(name), PATIENCE):
+        bag = open_growing_bag(Path(name), settings, topics or {}, Growth(stopped, idle), PATIENCE)
+        return LiveSource(bag, bag.events(), True)
     if follow or is_cameras(name):
-        return open_sensors(name, settings, rig, stopped)
-    source = open_source(name, settings)
+        return open_sensors(name, settings, rig, stopped, idle)
+    source = open_source(name, settings, topics=topics)
     if source.kind != "flight":
         raise InputError(f"{name}: photos have no speed of their own; use alight run")
     return LiveSource(source, paced(source.events(), speed, stopped), False)

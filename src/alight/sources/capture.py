@@ -7,6 +7,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -121,7 +122,11 @@ class Cameras(CalibratedFolder):
             while not over.is_set():
                 good, image = capture.read()
                 if not good:
-                    break
+                    capture.release()
+                    if not self._names[k].startswith("rtsp:") or (again := self._reopened(k, over)) is None:
+                        break
+                    clock, capture = SensorClock(), again
+                    continue
                 arrival, own = time.monotonic(), capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
                 if image.ndim == 3:
                     image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
@@ -155,3 +160,13 @@ class Cameras(CalibratedFolder):
                     return
         finally:
             over.set()
+
+    def _reopened(self, k: int, over: threading.Event) -> Any:
+        """Open a stream again that broke off, as when its server restarts; None: it does not come back."""
+        name, lens, begin = self._names[k], self.rig.cameras[k].camera, time.monotonic()
+        while not over.wait(SILENT / 20) and time.monotonic() - begin < SILENT:
+            with suppress(InputError):
+                capture = open_capture(name, (lens.width, lens.height))
+                self.findings.warn(f"{name}: broke off and was opened again; motion and map have a gap there")
+                return capture
+        return None

@@ -15,6 +15,7 @@ from alight.records import Frame, InputError, Rig, RigCamera
 from alight.settings import Settings
 from alight.sources.bags.choice import choose_topics
 from alight.sources.bags.files import messages_of
+from alight.sources.bags.growth import Growth
 from alight.sources.bags.images import is_rectified, lens_of, pixels_of, rectified_from_camera
 from alight.sources.bags.streams import INFO, TopicStream, decoded, read_streams, stamp_of
 from alight.sources.calibration import load_yaml, read_camchain
@@ -38,6 +39,7 @@ class BagFlight(FlightLog):
         InputError: the bag has no pictures or no calibration, or it is not clear which topics to use.
     """
 
+    growth: Growth | None = None  # how its files grow; None: they are complete
     no_place = "the bag has no GPS (NavSatFix): heights and places are relative, and nothing can be put on a map"
 
     def __init__(self, path: Path, files: Sequence[Path], settings: Settings, topics: Mapping[str, str]) -> None:
@@ -47,7 +49,7 @@ class BagFlight(FlightLog):
 
     def _read_origin(self) -> LocalFrame | None:
         """Read the whole bag; return the origin that it states, else its first position; None: no place on Earth."""
-        self._streams, self._tree = read_streams(self._files, self.findings)
+        self._streams, self._tree = read_streams(self._files, self.findings, self.growth)
         try:
             self._topics = choose_topics(self._streams, self._tree, self._given, self._calibrated())
         except InputError as e:

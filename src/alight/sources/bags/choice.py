@@ -115,8 +115,13 @@ def choose_topics(
         left, second = _cameras(streams, frames, body, calibrated)
         right = right if "right" in given else second
     if left is None:
-        refused = sorted(f" ({s.topic}: {s.refused})" for s in streams.values() if s.refused)
-        raise InputError(f"the bag has no pictures that can be read{' '.join(refused[:1])}; record 8 bits a colour")
+        refused = sorted(
+            (bool(NO_PICTURE.search(s.topic)), f" ({s.topic}: {s.refused})") for s in streams.values() if s.refused
+        )
+        why = refused[0][1] if refused else ""
+        raise InputError(
+            f"the bag has no pictures that can be read{why}; record 8 bits a colour, such as mono8 or rgb8"
+        )
     return Topics(left, right, position, attitude, velocity, imu, body)
 
 
@@ -130,6 +135,8 @@ def _named(streams: Mapping[str, TopicStream], topic: str, role: str) -> TopicSt
     def fits(s: TopicStream) -> bool:
         return any(map(s.has, NEEDED[role])) if role in NEEDED else s.type in IMAGES and not s.refused
 
+    if topic in streams and (why := streams[topic].refused):
+        raise InputError(f"--topic {role}={topic}: {why} is not read; record 8 bits a colour, such as mono8 or rgb8")
     if topic and not (topic in streams and fits(streams[topic])):
         known = ", ".join(sorted(s.topic for s in streams.values() if fits(s)))[:400] or "none"
         raise InputError(f"--topic {role}={topic}: no such topic in the bag; topics of the kind: {known}")

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import sqlite3
 import struct
+import sys
 from bz2 import decompress as from_bz2
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import lru_cache, partial
 from io import BytesIO
@@ -19,15 +20,22 @@ from urllib.parse import quote
 
 from lz4.frame import decompress as from_lz4
 
+from alight.sources.bags.growth import GrowingFile, Growth
 from alight.sources.bags.mcap_file import MessageType, RawMessage, read_mcap, up_to_damage
 from alight.sources.source import Findings
 
 BAG_HEADER, CHUNK, CONNECTION, MESSAGE = b"\x03", b"\x05", b"\x07", b"\x02"  # kinds of records of a ROS 1 bag
+Wanted = Callable[[str, str], bool]  # of a topic and its type
 DECOMPRESS: dict[bytes, Callable[[bytes], bytes]] = {b"none": bytes, b"bz2": from_bz2, b"lz4": from_lz4}
 
 
-def messages_of(files: Sequence[Path], wanted: Callable[[str, str], bool], findings: Findings) -> Iterator[RawMessage]:
+def messages_of(
+    files: Iterable[Path], wanted: Wanted, findings: Findings, growth: Growth | None = None
+) -> Iterator[RawMessage]:
     """Yield the messages whose topic and type are `wanted`; if a file ends early, warn and stop reading it.
+
+    Args:
+        growth: how to wait for files that are being written, whose early end is no fault; None: they are complete.
 
     Raises:
         InputError: nothing of a file can be read.
@@ -35,16 +43,17 @@ def messages_of(files: Sequence[Path], wanted: Callable[[str, str], bool], findi
     for path in files:
         read = {".db3": _of_sqlite, ".mcap": _of_mcap}.get(path.suffix.lower(), _of_ros1)
         early = f"{path.name} ends early, as after a loss of power: what came before it is used"
-        yield from up_to_damage(read(path, wanted), path, "no message can be read ({})", partial(findings.warn, early))
+        at_end = partial(findings.warn, early) if growth is None else lambda: None
+        yield from up_to_damage(read(path, wanted, growth), path, "no message can be read ({})", at_end)
 
 
-def _of_ros1(path: Path, wanted: Callable[[str, str], bool]) -> Iterator[RawMessage]:
+def _of_ros1(path: Path, wanted: Wanted, growth: Growth | None) -> Iterator[RawMessage]:
     from rosbags.typesys.msg import normalize_msgtype
 
     topics = dict[bytes, tuple[str, MessageType]]()
-    with path.open("rb") as file:
+    with path.open("rb") if growth is None else GrowingFile(path, growth) as file:
         file.readline()
-        for fields, data in _ros1_records(file, path.stat().st_size):
+        for fields, data in _ros1_records(file, path.stat().st_size if growth is None else sys.maxsize):
             if fields[b"op"] == CONNECTION and fields[b"conn"] not in topics:
                 head = _fields(data)
                 name = normalize_msgtype(head[b"type"].decode())
@@ -57,7 +66,7 @@ def _of_ros1(path: Path, wanted: Callable[[str, str], bool]) -> Iterator[RawMess
                     yield RawMessage(topic, kind, seconds * 10**9 + nanoseconds, data)
 
 
-def _ros1_records(file: BinaryIO, size: int) -> Iterator[tuple[dict[bytes, bytes], bytes]]:
+def _ros1_records(file: BinaryIO | GrowingFile, size: int) -> Iterator[tuple[dict[bytes, bytes], bytes]]:
     """Yield (header fields, data) of the records of a ROS 1 bag, and of the records in its chunks; `size`: in bytes.
 
     Raises:
@@ -94,28 +103,34 @@ def _fields(header: bytes) -> dict[bytes, bytes]:
     return out
 
 
-def _of_mcap(path: Path, wanted: Callable[[str, str], bool]) -> Iterator[RawMessage]:
-    with path.open("rb") as file:
+def _of_mcap(path: Path, wanted: Wanted, growth: Growth | None) -> Iterator[RawMessage]:
+    with path.open("rb") if growth is None else GrowingFile(path, growth) as file:
         for m in read_mcap(file):
             if isinstance(m, RawMessage) and wanted(m.topic, m.type.name):
                 yield m
 
 
-def _of_sqlite(path: Path, wanted: Callable[[str, str], bool]) -> Iterator[RawMessage]:
-    base = _connected(path)
+def _of_sqlite(path: Path, wanted: Wanted, growth: Growth | None) -> Iterator[RawMessage]:
+    base, newest = _connected(path), -1
     try:
-        known = base.execute("SELECT name FROM sqlite_master WHERE name = 'message_definitions'").fetchone()
-        texts = "topic_type, encoding, encoded_message_definition FROM message_definitions"
-        of_type = {row[0]: row[1:] for row in base.execute(f"SELECT {texts}")} if known else {}
-        topics = {
-            number: (topic, MessageType(name, "cdr", *of_type.get(name, ())))
-            for number, topic, name in base.execute("SELECT id, name, type FROM topics")
-            if wanted(topic, name)
-        }
-        chosen = ",".join(map(str, topics))
-        query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({chosen}) ORDER BY id"
-        for number, t_ns, data in base.execute(query):
-            yield RawMessage(*topics[number], t_ns, data)
+        while True:
+            known = base.execute("SELECT name FROM sqlite_master WHERE name = 'message_definitions'").fetchone()
+            texts = "topic_type, encoding, encoded_message_definition FROM message_definitions"
+            of_type = {row[0]: row[1:] for row in base.execute(f"SELECT {texts}")} if known else {}
+            topics = {
+                number: (topic, MessageType(name, "cdr", *of_type.get(name, ())))
+                for number, topic, name in base.execute("SELECT id, name, type FROM topics")
+                if wanted(topic, name)
+            }
+            chosen = f"id > {newest} AND topic_id IN ({','.join(map(str, topics))})"
+            query = f"SELECT id, topic_id, timestamp, data FROM messages WHERE {chosen} ORDER BY id"
+            for one, number, t_ns, data in base.execute(query):
+                newest = one
+                yield RawMessage(*topics[number], t_ns, data)
+                if growth is not None:
+                    growth.came()
+            if growth is None or not growth.goes_on():
+                return
     finally:
         base.close()
 

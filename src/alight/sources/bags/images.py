@@ -62,7 +62,7 @@ def header_of_picture(message: Any) -> tuple[tuple[int, int], str]:
         return (message.width, message.height), "" if known else f"encoding {message.encoding!r}"
     try:
         with open_image(BytesIO(bytes(message.data)), ("JPEG", "PNG")) as image:
-            return image.size, ""
+            return image.size, f"format {message.format!r} of 16 bits" if image.mode.startswith("I") else ""
     except UNREADABLE:
         return (0, 0), f"format {message.format!r}"
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, TypeVar
 
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from alight.records import InputError
 from alight.records.codec import HEAD
+
+if TYPE_CHECKING:
+    from alight.sources.bags.growth import GrowingFile
 
 Found = TypeVar("Found")
 
@@ -33,7 +36,7 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
-def read_mcap(file: BinaryIO) -> Iterator[RawMessage | Metadata]:
+def read_mcap(file: BinaryIO | GrowingFile) -> Iterator[RawMessage | Metadata]:
     """Yield messages of ROS 1 and ROS 2, and metadata, in the order of the file; others are passed over.
 
     Damaged bytes can make it raise any exception.

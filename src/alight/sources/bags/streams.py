@@ -14,6 +14,7 @@ from alight.geometry import Pose, matrix_from_quaternion, quaternion_from_matrix
 from alight.geometry.rotations import ENU_FROM_NED, FRD_FROM_FLU
 from alight.sources.bags.files import decode, messages_of
 from alight.sources.bags.frame_tree import FrameTree
+from alight.sources.bags.growth import Growth
 from alight.sources.bags.images import IMAGES, header_of_picture, is_calibrated
 from alight.sources.bags.mcap_file import RawMessage
 from alight.sources.source import Findings
@@ -155,6 +156,12 @@ class TopicStream:
         for values in parts.values():
             self._values.extend(values)
 
+    def keep_after(self, t_ns: float) -> None:
+        """Drop the messages up to a time on the clock of the bag, ns; all must have come in order of time."""
+        count = int(np.searchsorted(self.t_ns, t_ns, side="right"))
+        del self._values[: count * (len(self._values) // max(len(self._stamps), 1))]
+        del self._stamps[:count], self._arrivals[:count]
+
     def time_of(self, stamp: int, arrival: int) -> int:
         """Return the time of a message on the clock of the bag, ns, from its stamp and its time of arrival, ns."""
         return (stamp if self.stamped else arrival) + self.shift_ns
@@ -182,9 +189,10 @@ class TopicStream:
 
     def part(self, name: str) -> F64:
         """Return measurements by name, (N, D); NaN: not measured. A name that the type lacks gives (N, 3) NaN."""
-        if name not in self._columns:
-            return np.full((len(self._stamps), 3), np.nan)
-        return np.frombuffer(self._values).reshape(len(self._stamps), -1)[:, self._columns[name]]
+        at = self._columns.get(name, slice(0, 3))
+        if name not in self._columns or not self._stamps:
+            return np.full((len(self._stamps), at.stop - at.start), np.nan)
+        return np.frombuffer(self._values).reshape(len(self._stamps), -1)[:, at]
 
     def has(self, name: str) -> bool:
         """Whether a measurement was made at least once."""
@@ -202,11 +210,16 @@ class TopicStream:
         return f"{self.topic} ({self.rate:.3g} Hz{f', frame {self.frame}' if self.frame else ''})"
 
 
-def read_streams(files: Sequence[Path], findings: Findings) -> tuple[dict[str, TopicStream], FrameTree]:
-    """Read a whole bag once; return its streams by topic, and its tree of frames. Damaged messages are lost."""
+def read_streams(
+    files: Sequence[Path], findings: Findings, growth: Growth | None = None
+) -> tuple[dict[str, TopicStream], FrameTree]:
+    """Read a whole bag once; return its streams by topic, and its tree of frames. Damaged messages are lost.
+
+    `growth`: as for `messages_of`.
+    """
     streams, frames = dict[str, TopicStream](), FrameTree()
     used = {*PARTS, *IMAGES, *TRANSFORMS, INFO}
-    for raw, message in decoded(messages_of(files, lambda topic, name: name in used, findings), findings):
+    for raw, message in decoded(messages_of(files, lambda topic, name: name in used, findings, growth), findings):
         try:
             if raw.type.name in TRANSFORMS:
                 for t in message.transforms:
