@@ -269,7 +269,9 @@ class RecursiveMapper:
             if self._map.out_of_range and due:
                 self._map.find_ground_again(self._views_now(), least)
             return steps
-        if due and self._map.find_ground(self._views_now(), least):
+        for view in looking_down(self._views_now(1))[:1]:
+            self._map.features.of(view)  # each as it comes; all of them at once would take a second
+        if self.store.taken >= self._settings.mapping.find_every and self._map.find_ground(self._views_now(), least):
             return self._advance(self.store.keyframes, navigation, effort)
         if len(self.store.keyframes) >= self._few:  # height and required baseline are unknown
             self.store.thin()
