@@ -132,9 +132,9 @@ def is_within(views: Sequence[View], height: float, tuning: PointsTuning, featur
     """
     first, last = views[0], [v for v in views if v.cam == views[0].cam][-1]
     points, angle = pair_points(features.of(first), features.of(last), tuning)
-    if not np.isfinite(angle):
-        return True  # they show different ground
-    return len(points) > 0 and bool(last.centre[2] - np.median(points[:, 2]) <= height)
+    if not len(points):
+        return angle > tuning.least_angle  # they show different ground, or too little of the same
+    return bool(last.centre[2] - np.median(points[:, 2]) <= height)
 
 
 def supported(points: F64, height_of_camera: float, tuning: PointsTuning) -> F64:
