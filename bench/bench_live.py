@@ -1,7 +1,7 @@
 """A live run against its requirements: a simulated flight at its own speed, in real time.
 
     python bench/bench_live.py                          all of it; a quarter of an hour
-    python bench/bench_live.py rate start               some parts: rate memory start
+    python bench/bench_live.py rate start               some parts: rate memory start sample
     python bench/bench_live.py memory --minutes 30
 
 The simulated flight, 640 x 480 stereo at 30 exposures a second, is made once and kept in out/bench-live. At its end the
@@ -23,14 +23,15 @@ from pathlib import Path
 
 import numpy as np
 from mcap.reader import make_reader
-from tables import Row, at_least, show
+from tables import DATA, Row, at_least, show
 
 import alight
 import alight_sim
 from alight.arrays import F64
-from alight.flight.live.live import Live, LiveOptions
+from alight.flight.live.live import Listener, Live, LiveOptions
 from alight.flight.live.run import for_flight
 from alight.outputs.recorder import Recorder
+from alight.pipeline import FlightPolicy
 from alight.records import Event, Frame, NavSample
 from alight.records.codec import FlightHead
 from alight.runner.opening import open_source
@@ -191,13 +192,35 @@ def part_start(_: argparse.Namespace) -> None:
     show(Row("start to first pose, s", 1e-9 * (motion.log_time - begin), 5, 3))
 
 
+def part_sample(_: argparse.Namespace) -> None:
+    """The sample flight of 12 s, with verdicts as often as the computer can."""
+    source, settings, verdicts, begin = open_source(DATA / "sample"), load_settings(), list[float](), 0.0
+    options = LiveOptions(
+        Listener(verdict=lambda verdict, t_ns: verdicts.append(time.perf_counter())), policy=FlightPolicy(every=1),
+        appearance=appearance_of(settings), imu=source.imu_noise,
+    )  # fmt: skip
+    live = Live(source.rig, for_flight(settings), options)
+    for lane in live.lanes.values():
+        lane.wait_until_ready()
+    for event in paced(source.events(), 1.0):
+        begin = begin or time.perf_counter() * isinstance(event, Frame)
+        live.feed(event)
+    show(
+        Row("first verdict after the first exposure, s", verdicts[0] - begin, 4.0, 2.0),
+        Row("longest time from one verdict to the next, s", max(np.diff(verdicts)), 2.0, 1.0),
+        Row("exposures left out of the map, of 120", live.watch.counts["mapping: exposures left out, busy"], 10, 0),
+        Row("keyframe to verdict, median, s", statistics.median(live.watch.timings.stages["frame to verdict"])),
+    )
+    live.close()
+
+
 def command(*words: object) -> list[str]:
     """The command line in a process of its own."""
     code = "import sys; from alight.cli import main; sys.argv[0] = 'alight'; main()"
     return [sys.executable, "-c", code, *(str(w) for w in words)]
 
 
-PARTS = {"rate": part_rate, "memory": part_memory, "start": part_start}
+PARTS = {"rate": part_rate, "memory": part_memory, "start": part_start, "sample": part_sample}
 
 
 def main() -> None:

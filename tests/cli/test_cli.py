@@ -107,6 +107,14 @@ def test_a_mistake_is_one_whole_line_without_a_traceback_in_a_process(tmp_path: 
     )
 
 
+def test_shells_complete_commands(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("_ALIGHT_COMPLETE", "complete_bash"), ("COMP_WORDS", "alight haz"), ("COMP_CWORD", "1")):
+        monkeypatch.setenv(name, value)
+    with pytest.raises(SystemExit):
+        cli.call([])
+    assert capsys.readouterr().out.split() == ["hazards"]
+
+
 def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.call(["--version"]) == 0
     assert capsys.readouterr().out == f"{__version__}\n"

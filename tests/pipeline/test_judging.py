@@ -211,6 +211,13 @@ def test_a_road_is_remembered_where_it_is_not_seen_how_far_it_goes_on() -> None:
     assert (near.hazards.reasons[near.land_cover.road] & Hazard.AVOID).all()
 
 
+def test_roads_are_looked_for_in_new_exposures_and_on_the_whole_map() -> None:
+    """The first map shows too little of the road; the next ones show all of it, but no other exposure."""
+    lane = JudgingLane(Settings().stages(), None, Timings())
+    verdicts = [lane.judge(seen) for seen in (on_a_road(8.0), on_a_road(25.0), replace(on_a_road(25.0), whole=True))]
+    assert ["road" in [z.kind for z in v.others] for v in verdicts] == [False, False, True]
+
+
 def test_third_parties_can_be_turned_off() -> None:
     alone = load_settings("", ("tuning.sites.third_party=false",)).stages()
     verdict = JudgingLane(alone, None, Timings()).judge(on_a_road(25.0))

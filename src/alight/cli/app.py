@@ -31,7 +31,7 @@ class ExitCode(IntEnum):
 # typer's errors inherit from its own copy of click or, in older versions, from click; this class exists in both
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help="Find a safe place to land.")
+app = typer.Typer(pretty_exceptions_enable=False, help="Find a safe place to land.")
 SMALLER = {  # advice when memory is exhausted, by command
     "hazards": "give a part of the raster (gdal_translate -srcwin) or coarser cells (gdalwarp -tr)",
     "simulate": "choose smaller images, a lower rate or a smaller ground in the scene",

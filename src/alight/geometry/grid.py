@@ -65,7 +65,13 @@ class Grid:
     def nearest_on(self, target: Grid, values: NDArray[Any], outside: float | None = None) -> NDArray[Any]:
         """Look up the value nearest to each cell centre of the grid `target`; see `nearest_at` for the arguments."""
         east, north = target.xy()
-        return self.nearest_at(values, east[None, :], north[:, None], outside)
+        row, col = (np.rint(i).astype(np.int64) for i in self.index(east, north))
+        out = np.asarray(values[row.clip(0, self.rows - 1)][:, col.clip(0, self.cols - 1)])
+        if outside is None:
+            outside = np.nan if np.issubdtype(values.dtype, np.floating) else 0
+        out[(row < 0) | (row >= self.rows)] = outside
+        out[:, (col < 0) | (col >= self.cols)] = outside
+        return out
 
     def window(self, row: int, col: int, rows: int, cols: int) -> Grid:
         """Return the grid of the `rows` x `cols` cells whose first cell is (row, col) of this grid."""

@@ -6,7 +6,6 @@ Single rotations use the formulas here: SciPy's logarithm of a single rotation t
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from alight.arrays import F64
 
@@ -27,6 +26,8 @@ def so3_exp(rotation_vector: ArrayLike) -> F64:
     """Convert rotation vectors (3,) or (N, 3), radians, to rotation matrices (3, 3) or (N, 3, 3) (Rodrigues)."""
     w = np.asarray(rotation_vector, dtype=np.float64)
     if w.ndim > 1:
+        from scipy.spatial.transform import Rotation  # a quarter of a second, which the command line waits for
+
         return np.asarray(Rotation.from_rotvec(w).as_matrix())
     angle2 = float(w @ w)
     if angle2 < 1e-12:  # series to second order: error below 1e-18
@@ -42,6 +43,8 @@ def so3_log(rotation: ArrayLike) -> F64:
     """Convert rotation matrices (3, 3) or (N, 3, 3) to rotation vectors (3,) or (N, 3), radians; length at most pi."""
     R = np.asarray(rotation, dtype=np.float64)
     if R.ndim > 2:
+        from scipy.spatial.transform import Rotation
+
         return np.asarray(Rotation.from_matrix(R).as_rotvec())
     q = quaternion_from_matrix(R)
     w, v = q[0], q[1:]

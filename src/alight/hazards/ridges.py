@@ -30,9 +30,11 @@ def straight_ridges(height: F32, cell: float) -> F32:
     n = max(round(CELL / cell), 1)
     coarse = block_mean(whole_blocks(filled_surface(height), n), n)
     relief = difference_of_gaussians(coarse, *(s / cell / n for s in BAND))
-    out = np.zeros_like(relief)
-    for parts in _directions(PART / cell / n):
-        np.maximum(out, np.minimum.reduce([_mean(relief, part) for part in parts]), out=out)
+    out, directions = np.zeros_like(relief), _directions(PART / cell / n)
+    margin = max(abs(offset) for parts in directions for part in parts for offset in part[:2])
+    wide = np.pad(relief, margin, mode="edge")
+    for parts in directions:
+        np.maximum(out, np.minimum.reduce([_mean(wide, part, margin) for part in parts]), out=out)
     return upsample(out, n, height.shape)
 
 
@@ -66,8 +68,9 @@ def _part(along: F64, place: int) -> _Part:
     return _Part(rows, columns, np.asarray(out / out.sum(), np.float32))
 
 
-def _mean(relief: F32, part: _Part) -> F32:
-    (r, c), (rows, cols) = (abs(part.rows), abs(part.columns)), relief.shape
-    wide = np.pad(relief, ((r, r), (c, c)), mode="edge")
-    moved = wide[r + part.rows : r + part.rows + rows, c + part.columns : c + part.columns + cols]
+def _mean(wide: F32, part: _Part, margin: int) -> F32:
+    """Return the mean of a part about every cell; `wide`: the relief with a `margin` of cells on every side."""
+    rows, cols = (n - 2 * margin for n in wide.shape)
+    at = margin + part.rows, margin + part.columns
+    moved = wide[at[0] : at[0] + rows, at[1] : at[1] + cols]
     return np.asarray(cv2.filter2D(moved, -1, part.weights, borderType=cv2.BORDER_REPLICATE))

@@ -134,7 +134,8 @@ class Net(FittedTable):
             if len(left) == len(self.terms):
                 out = np.empty((len(left), *values.shape), np.float16)
             i = left.pop(name)
-            standard = np.nan_to_num((values - self.usual[i]) / self.spread[i], copy=False)  # unknown: usual
+            standard = (values - self.usual[i]) / self.spread[i]
+            np.copyto(standard, 0, where=np.isnan(standard))  # unknown: usual
             np.clip(standard, -self.clip, self.clip, out=out[i])
         if left:
             raise ValueError(f"terms of the net that are missing: {', '.join(sorted(left))}")

@@ -6,8 +6,8 @@ descriptors, not tracked, so video and photos far apart work alike, with poses f
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -29,10 +29,26 @@ class ViewFeatures(NamedTuple):
     rays: F64  # (N, 3) unit directions in the world
     descriptors: F32  # (N, 128)
 
-    @classmethod
-    def of(cls, view: View, tuning: PointsTuning) -> ViewFeatures:
-        """Detect the features of a view; weak ones are included only if there are too few strong ones."""
-        grey = grey_levels(view.image)
+
+class Features:
+    """SIFT features of the 64 views that were used last, each view's detected once."""
+
+    def __init__(self, tuning: PointsTuning) -> None:
+        self._tuning, self._detected = tuning, OrderedDict[tuple[int, int], tuple[F64, F32]]()
+
+    def of(self, view: View) -> ViewFeatures:
+        """Return the features of a view with its present pose; time and camera identify its image."""
+        key = view.t_ns, view.cam
+        found = self._detected.pop(key) if key in self._detected else self._detect(view)
+        self._detected[key] = pixels, descriptors = found
+        if len(self._detected) > 64:
+            self._detected.popitem(last=False)
+        rays = view.camera.rays(pixels) @ view.world_from_cam.rotation.T
+        return ViewFeatures(view.centre, rays / np.linalg.norm(rays, axis=1, keepdims=True), descriptors)
+
+    def _detect(self, view: View) -> tuple[F64, F32]:
+        """Return pixels (N, 2) and descriptors; weak features are included only if there are too few strong ones."""
+        grey, tuning = grey_levels(view.image), self._tuning
         scale = min(1.0, tuning.longest_px / max(grey.shape))
         small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else grey
         contrast, grey_level = tuning.contrast, 1 / 255
@@ -42,9 +58,7 @@ class ViewFeatures(NamedTuple):
             if len(found) >= tuning.enough_features or contrast / 2 < grey_level:
                 break
             contrast /= 2
-        pixels = (np.array([k.pt for k in found], dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
-        rays = view.camera.rays(pixels) @ view.world_from_cam.rotation.T
-        return cls(view.centre, rays / np.linalg.norm(rays, axis=1, keepdims=True), descriptors)
+        return (np.array([k.pt for k in found], dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5, descriptors
 
 
 def triangulate_pair(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F64, F64]:
@@ -83,14 +97,16 @@ def pair_points(a: ViewFeatures, b: ViewFeatures, tuning: PointsTuning) -> tuple
     return (points[good] if good.sum() >= 8 and median > tuning.least_angle else NO_POINTS), median
 
 
-def find_points(views: Sequence[View], tuning: PointsTuning) -> F64:
-    """Return points (N, 3) of the scene, metres in the world, triangulated from pairs of `views` in order of time."""
-    # the stride between the views of a pair doubles until their rays meet at three times `least_angle` or overlap ends
-    views = [v for v in views if v.cam == views[0].cam]
+def find_points(views: Sequence[View], tuning: PointsTuning, features: Features | None = None) -> F64:
+    """Return points (N, 3) of the scene, metres in the world, triangulated from pairs of `views` in order of time.
 
-    @lru_cache(maxsize=64)
+    `features`: store of those of earlier searches; None: all are detected.
+    """
+    # the stride between the views of a pair doubles until their rays meet at three times `least_angle` or overlap ends
+    views, features = [v for v in views if v.cam == views[0].cam], features or Features(tuning)
+
     def of(i: int) -> ViewFeatures:
-        return ViewFeatures.of(views[i], tuning)
+        return features.of(views[i])
 
     found, stride, count = [], 1, len(views)
     starts = np.linspace(0, max(count - 2, 0), min(tuning.most_pairs, max(count - 1, 1))).astype(int)
@@ -107,6 +123,18 @@ def find_points(views: Sequence[View], tuning: PointsTuning) -> F64:
             break
     points = np.concatenate(found) if found else NO_POINTS
     return supported(points, float(np.median([v.centre[2] for v in views])), tuning)
+
+
+def is_within(views: Sequence[View], height: float, tuning: PointsTuning, features: Features) -> bool:
+    """Whether the ground is at most `height` metres below the cameras by the first and last view, or they cannot tell.
+
+    It takes two views, where `find_points` takes all.
+    """
+    first, last = views[0], [v for v in views if v.cam == views[0].cam][-1]
+    points, angle = pair_points(features.of(first), features.of(last), tuning)
+    if not len(points):
+        return angle > tuning.least_angle  # they show different ground, or too little of the same
+    return bool(last.centre[2] - np.median(points[:, 2]) <= height)
 
 
 def supported(points: F64, height_of_camera: float, tuning: PointsTuning) -> F64:

@@ -185,6 +185,7 @@ class JudgingLane:
     def _evidence(self, seen: MapSnapshot) -> MapEvidence:
         """Gather the evidence of a map: its wires, its picture and its land cover."""
         s, t_ns = self._settings, max((v.t_ns for v in seen.views), default=0)
+        with_roads = seen.whole or self.memory.wires.is_search_due(seen.views)
         with self._timings.of("wires"):
             self._search_wires(seen)
         with self._timings.of("finer pixels"):
@@ -193,7 +194,7 @@ class JudgingLane:
         land_cover = None
         if s.terrain.enabled:
             with self._timings.of("terrain"):
-                land_cover = find_land_cover(elevation, s.terrain, self._appearance)
+                land_cover = find_land_cover(elevation, s.terrain, self._appearance, with_roads=with_roads)
                 land_cover = self._with_earlier(land_cover, t_ns)
             _tidy(elevation)
         assert elevation.fine is not None
@@ -218,7 +219,8 @@ class JudgingLane:
         roads = self.memory.roads
         if land_cover.road is not None:
             roads = roads.with_seen(shown_at(grid, land_cover.road), t_ns)
-            land_cover = replace(land_cover, road=land_cover.road | roads.on(grid))
+        known = roads.on(grid)
+        land_cover = replace(land_cover, road=known if land_cover.road is None else land_cover.road | known)
         self.memory = replace(self.memory, roofs=roofs, roads=roads)
         return land_cover.with_roofs(np.maximum(land_cover.raised, roofs.on(grid)))
 
@@ -234,8 +236,9 @@ class JudgingLane:
 
     def notes(self, found: Verdict) -> dict[str, object]:
         """Return the notes of a run on a verdict: evidence, quality, sites of earlier maps, and sites given up."""
+        coloured = None if found.land_cover is None else found.land_cover.coloured
         out: dict[str, object] = {
-            "terrain": terrain.describe(found.elevation, self._settings.terrain, self._appearance)
+            "terrain": terrain.describe(found.elevation, self._settings.terrain, self._appearance, coloured)
         }
         out |= quality_note(found.hazards, self._settings)
         out |= reserve_notes(self.memory.reserve.sites[len(found.sites.sites) :])
@@ -324,10 +327,11 @@ def find_land_cover(
     settings: TerrainSettings,
     appearance: terrain.Model | None,
     tables: terrain.Tables | None = None,
+    with_roads: bool = True,
 ) -> TerrainMap:
     """Estimate the land cover on cells of up to `settings.cell` metres, and return it on the map's grid."""
     coarse = on_cells_up_to(elevation, settings.cell)
-    return terrain.classify(coarse, settings, appearance, tables).on(elevation.grid)
+    return terrain.classify(coarse, settings, appearance, tables, with_roads).on(elevation.grid)
 
 
 def observer(seen: MapSnapshot) -> Observer | None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import cache
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import jinja2
 from markupsafe import Markup
 
 from alight import __version__
@@ -21,17 +21,27 @@ from alight.report.fields import trees
 from alight.report.layers import layers_of
 from alight.report.shapes import geodetic, shapes_of
 
-__all__ = ["TEMPLATES", "render", "warnings"]
+if TYPE_CHECKING:
+    import jinja2
 
-TEMPLATES = jinja2.Environment(
-    loader=jinja2.PackageLoader("alight", "report"),
-    autoescape=True,
-    finalize=lambda value: value if isinstance(value, Markup) or not isinstance(value, str) else printable(value),
-    trim_blocks=True,
-    lstrip_blocks=True,
-    undefined=jinja2.StrictUndefined,
-)
-TEMPLATES.filters["metres"] = words.metres
+__all__ = ["render", "templates", "warnings"]
+
+
+@cache
+def templates() -> jinja2.Environment:
+    """Return the templates of the pages."""
+    import jinja2  # here, as other modules use the colours of this package long before there is a report
+
+    found = jinja2.Environment(
+        loader=jinja2.PackageLoader("alight", "report"),
+        autoescape=True,
+        finalize=lambda value: value if isinstance(value, Markup) or not isinstance(value, str) else printable(value),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    found.filters["metres"] = words.metres
+    return found
 
 
 def _leaflet(name: str) -> Markup:
@@ -79,21 +89,25 @@ def render(result: RunResult, files: Mapping[str, str] | None = None) -> str:
 
     `files`: names of the files beside the page, with the reasons of those that are not written, else empty.
     """
-    return TEMPLATES.get_template("page.html.j2").render(
-        **_pictures(result),
-        version=__version__,
-        result=result,
-        answer=facts.answer(result),
-        warnings=warnings(result),
-        tables=facts.place_tables(result),
-        diary=facts.diary_rows(result),
-        film=maps.film(result),
-        facts=facts.run_facts(result),
-        details=facts.details(result),
-        residuals=survey.gps_residuals(result),
-        photos=[row.cells for row in result.photos],
-        photo_columns=PHOTO_COLUMNS,
-        times=facts.times(result.timings),
-        files=facts.file_rows(result.not_written if files is None else files),
-        settings=result.settings.to_yaml(),
+    return (
+        templates()
+        .get_template("page.html.j2")
+        .render(
+            **_pictures(result),
+            version=__version__,
+            result=result,
+            answer=facts.answer(result),
+            warnings=warnings(result),
+            tables=facts.place_tables(result),
+            diary=facts.diary_rows(result),
+            film=maps.film(result),
+            facts=facts.run_facts(result),
+            details=facts.details(result),
+            residuals=survey.gps_residuals(result),
+            photos=[row.cells for row in result.photos],
+            photo_columns=PHOTO_COLUMNS,
+            times=facts.times(result.timings),
+            files=facts.file_rows(result.not_written if files is None else files),
+            settings=result.settings.to_yaml(),
+        )
     )

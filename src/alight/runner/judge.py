@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from alight.elevation import on_cells_up_to
 from alight.geometry import LocalFrame
 from alight.hazards import assess
 from alight.hazards.sharpen import sharpen
@@ -23,6 +24,7 @@ from alight.settings import Settings, StageSettings, load_settings
 from alight.sources.raster import GroundRaster
 from alight.sources.raster_plane import RasterPlane
 from alight.sources.zones import read_zones
+from alight.terrain.appearance import appearance
 
 # surveyed heights show every obstacle and lie level, unless the user's settings differ
 SURVEYED = ("tuning.hazards.smoothed=false", "tuning.hazards.tilt_sigma=0.003", "tuning.hazards.noise_length=0.4")
@@ -52,10 +54,10 @@ def too_wide(cell: float, stages: StageSettings) -> list[str]:
 
 def _land_cover(elevation: ElevationMap, settings: Settings) -> TerrainMap | None:
     """Estimate the land cover from heights and picture; None if the picture is grey or the settings disable it."""
-    if not settings.terrain.enabled:
+    keys = settings.stages().terrain
+    if not (keys.enabled and appearance(on_cells_up_to(elevation, keys.cell)).coloured):
         return None
-    found = find_land_cover(elevation, settings.stages().terrain, appearance_of(settings))
-    return found if found.coloured else None
+    return find_land_cover(elevation, keys, appearance_of(settings))
 
 
 def zones_on(plane: RasterPlane | None, file: Path | None) -> ZonesOnPlane:

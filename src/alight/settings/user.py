@@ -256,7 +256,8 @@ class SitesKeys(FrozenModel):
         32,
         ge=0,
         le=10**9,
-        description="Keyframes from one judgement to the next in flight (parallax.method=recursive); 0: at the end",
+        description="Keyframes from one judgement to the next (parallax.method=recursive); 0: at the end; in flight as "
+        "often as the computer can",
     )
 
 

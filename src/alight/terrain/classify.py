@@ -131,7 +131,9 @@ def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settin
     return np.where(landable >= 0.5, _open_kind(colours, settings.leafy), kind).astype(np.uint8)
 
 
-def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model | None, tables: Tables) -> TerrainMap:
+def _classified(
+    elevation: ElevationMap, settings: TerrainSettings, model: Model | None, tables: Tables, with_roads: bool
+) -> TerrainMap:
     cell = elevation.grid.cell
     colours = appearance(elevation)
     wet = wetness(elevation, colours)
@@ -159,7 +161,7 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     surfaces = LevelSurfaces.of(elevation, settings)
     cover = TerrainMap(
         elevation.grid, label, landable, each[0].water, surfaces.enclosed(), surfaces.raised(), novelty,
-        surely([p.bears for p in each]), roads(elevation, landable, settings),
+        surely([p.bears for p in each]), roads(elevation, landable, settings) if with_roads else None,
         standing_cars(_any_height_above(elevation, shape), colours.green, cell, settings), colours.coloured,
     )  # fmt: skip
     water = surfaces.pools(open_water(cover) | (wet > ALIKE) & ~np.isin(label, HARD))
@@ -187,14 +189,16 @@ def _novelty(known: KnownGround, some: Mapping[str, F32], shape: tuple[int, int]
     return np.asarray(cv2.resize(found, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def describe(elevation: ElevationMap, settings: TerrainSettings, model: Model | None) -> str:
-    """Describe the evidence behind the classes of a map in words."""
+def describe(
+    elevation: ElevationMap, settings: TerrainSettings, model: Model | None, coloured: bool | None = None
+) -> str:
+    """Describe the evidence behind the classes of a map in words; `coloured`: None if that is not known yet."""
     if not settings.enabled:
         return "not judged (terrain.enabled)"
     alone = "shape, matching and texture of the map alone: "
     if model is None:
         return alone + "no model of appearance"
-    if not appearance(elevation).coloured:
+    if not (appearance(elevation).coloured if coloured is None else coloured):
         return alone + "the pictures are grey"
     pixel = elevation.grid.cell / elevation.pixels_a_cell(PIXEL)
     level = level_of(pixel)
@@ -204,7 +208,11 @@ def describe(elevation: ElevationMap, settings: TerrainSettings, model: Model | 
 
 
 def classify(
-    elevation: ElevationMap, settings: TerrainSettings, model: Model | None = None, tables: Tables | None = None
+    elevation: ElevationMap,
+    settings: TerrainSettings,
+    model: Model | None = None,
+    tables: Tables | None = None,
+    with_roads: bool = True,
 ) -> TerrainMap:
     """Estimate the land cover of each cell, and the probability that a vehicle may land on it.
 
@@ -213,13 +221,14 @@ def classify(
         settings: scales and weights.
         model: appearance model; None: only the evidence of the map itself.
         tables: fitted tables; None: those of the package (`learned/land_cover.md`, `known_ground.md`).
+        with_roads: whether roads are looked for.
 
     Returns:
         Classes and probabilities; UNKNOWN and NaN where nothing was seen. `landable` can refuse ground but never permit
         it. Ground with heights but without a picture is UNKNOWN as well; its `bears` is `ANYTHING`, its novelty
         `UNLIKE`. Black ground, as in a pit, also has a `landable` of `ANYTHING`.
     """
-    found = _classified(elevation, settings, model, tables or Tables(read_net(), read_known()))
+    found = _classified(elevation, settings, model, tables or Tables(read_net(), read_known()), with_roads)
     known = seen(elevation)
     unpictured = (elevation.views > 0) & ~known
 

@@ -103,22 +103,32 @@ def _strips(tints: Sequence[F32], bare: F32, block: float, settings: TerrainSett
         turned = [cv2.warpAffine(p, matrix, (side, side), flags=cv2.INTER_NEAREST) for p in planes]
         best = np.zeros((side, side), np.float32)
         for width in settings.road_widths:
-            np.maximum(best, _along(turned, width / block, settings.road_length / block), out=best)
+            along = _along(turned, width / block, settings.road_length / block, settings.road_unlike[0])
+            np.maximum(best, along, out=best)
         back = cv2.warpAffine(best, matrix, (cols, rows), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
         np.maximum(out, back, out=out)
     return out
 
 
-def _along(planes: Sequence[F32], width: float, length: float) -> F32:
-    """Return for every block how surely it lies in a strip along the rows, of a width in blocks."""
+def _along(planes: Sequence[F32], width: float, length: float, least: float) -> F32:
+    """Return for every block how surely it lies in a strip along the rows, of a width in blocks; 0 if none is `least`.
+
+    Most ground is leafy and has no strips, and ends early.
+    """
     across, piece = 2 * int((width - 1) / 2) + 1, 2 * round(length / 10) + 1
     flank = max(3, 2 * round(width / 6) + 1)
-    strip, side = _means(planes, piece, across), _means(planes, piece, flank)
+    strip = _means(planes, piece, across)
+    no_strip = (strip.share < 0.8) | (strip.bare < 0.5)
+    if no_strip.all():
+        return np.zeros_like(strip.share)
+    side = _means(planes, piece, flank)
     apart = across // 2 + flank // 2 + 2  # a row between them may be of both
     here = np.minimum(_unlike(strip, side, apart), _unlike(strip, side, -apart))
-    here[(strip.share < 0.8) | (strip.bare < 0.5)] = 0
+    here[no_strip] = 0
     long = 2 * round(max(length, 4 * width) / 2) + 1
     score = cv2.blur(here, (long, 1), borderType=cv2.BORDER_CONSTANT)
+    if score.max() <= least:
+        return np.zeros_like(score)
     score = cv2.dilate(score, np.ones((1, 2 * (long // 3) + 1), np.uint8))
     score[here < score / 2] = 0  # a strip ends where it looks like none
     spread = cv2.dilate(score, np.ones((across, 1), np.uint8))

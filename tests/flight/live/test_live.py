@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -15,10 +16,11 @@ import pytest
 from faulty_lanes import Fault, FaultyJudging, FaultyMapping, FaultyNavigation, IdleOrBusy
 from length import first, long
 from numpy.testing import assert_allclose
+from some_run import candidate
 from stereo_flight import SMALL, flight
 from waiting import wait_until
 
-from alight.flight.live.health import LaneState
+from alight.flight.live.health import LaneState, Watch
 from alight.flight.live.lane_process import LaneLost, LaneProcess, LaneSpec
 from alight.flight.live.live import Listener, Live, LiveOptions
 from alight.flight.live.mailbox import Closed, Mailbox
@@ -36,6 +38,8 @@ from alight.records import (
     NavSample,
     Schedule,
     SettingsError,
+    Sites,
+    p_safe_text,
 )
 from alight.records.executive import Need
 from alight.settings import Settings, load_settings
@@ -263,6 +267,18 @@ def test_mapping_that_fails_begins_another_map_and_judging_that_fails_leaves_one
     assert run.counts["mapping: restarted"] == run.counts["judging: restarted"] == 1
     assert len(results.verdicts) == (tmp_path / "count").stat().st_size - 2  # one is lost, and one is the last
     assert_flies_again(results, decision, run.schedule)
+
+
+def test_the_line_shows_the_best_place_of_the_newest_verdict_and_its_age() -> None:
+    watch = Watch(("navigation",))
+    assert watch.line(0).startswith("no verdict yet")
+    watch.arrived(stamp(0))
+    watch.judged(stamp(0), Sites((), "nothing", candidates=(candidate(),)))
+    p_safe = p_safe_text(candidate().p_safe)
+    said = rf"candidate at east 5.0 north -2.0 m, P\(safe\) {p_safe}, \d+\.\d s old; "
+    assert re.match(said, watch.line(0))
+    watch.judged(stamp(1), Sites((), "nothing"))
+    assert watch.line(0).startswith("no place, ")
 
 
 def test_a_lane_that_hangs_is_called_late_and_holds_up_no_other() -> None:

@@ -252,6 +252,7 @@ def test_a_live_run_flies_again_bit_for_bit(log: Path, tmp_path: Path) -> None:
     assert (out / "sites.geojson").read_bytes() == (again / "sites.geojson").read_bytes()
     info = json.loads((out / "run.json").read_text())
     assert {"frame to pose", "map step"} <= set(info["time"])
+    assert len((out / "trajectory.csv").read_text().splitlines()) == 1 + info["counts"]["frames used"]
     assert info["time"]["frame to pose"]["p95_s"] >= info["time"]["frame to pose"]["median_s"] > 0
     assert info["counts"]["frames used"] + info["counts"].get("navigation: exposures left out, busy", 0) == 22
 

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from enum import Enum
 
 from alight.pipeline.timing import Timings
+from alight.records import Sites, p_safe_text
 
 POSE, STEP, VERDICT = "frame to pose", "map step", "frame to verdict"
 
@@ -32,6 +33,7 @@ class Watch:
         self._arrived: OrderedDict[int, float] = OrderedDict()
         self._state = {lane: (LaneState.STARTING, 0.0) for lane in lanes}  # state, and since when in s
         self._motions: deque[float] = deque(maxlen=100)
+        self._answer: tuple[str, float] | None = None  # newest verdict in words, and when its exposure arrived, s
         self.timings = Timings(history=False)
         self.counts: Counter[str] = Counter()
         self.restarts: Counter[str] = Counter()
@@ -42,6 +44,16 @@ class Watch:
             self._arrived[t_ns] = time.perf_counter()
             if len(self._arrived) > 1000:
                 self._arrived.popitem(last=False)
+
+    def judged(self, t_ns: int, sites: Sites) -> None:
+        """Record the sites, in the world, of a map whose newest exposure is stamped `t_ns`."""
+        self.reached(VERDICT, t_ns)
+        words = "no place"
+        if found := [*sites.sites, *sites.candidates][:1]:
+            s = found[0]
+            words = f"{s.kind} at east {s.east:.1f} north {s.north:.1f} m, P(safe) {p_safe_text(s.p_safe)}"
+        with self._lock:
+            self._answer = words, self._arrived.get(t_ns, time.perf_counter())
 
     def reached(self, what: str, t_ns: int) -> None:
         """Record as `what` how long ago the exposure stamped `t_ns` arrived; `POSE` also updates the frame rate."""
@@ -77,14 +89,19 @@ class Watch:
         return LaneState.LATE if late else state
 
     def line(self, effort: int) -> str:
-        """Return states, rates and counts of the lanes as one line of text; `effort` is the effort of mapping."""
+        """Return the newest verdict with its age, and states, rates and counts of the lanes, as one line of text.
+
+        `effort`: effort of mapping.
+        """
         now = time.perf_counter()
         with self._lock:
             recent = [t for t in self._motions if now - t < 3.0]
             rate = (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 1 else 0.0
             median = {k: 1e3 * sorted(v)[len(v) // 2] for k, v in list(self.timings.stages.items())}
         left_out = sum(n for name, n in self.counts.items() if name.startswith("navigation: exposures left out"))
+        answer = "no verdict yet" if self._answer is None else f"{self._answer[0]}, {now - self._answer[1]:.1f} s old"
         parts = [
+            answer,
             f"{rate:.0f} frames/s, {left_out} left out",
             ", ".join(f"{name} {ms:.0f} ms" for name, ms in median.items()),
             " ".join(f"{name} {self.state(name).value}" for name in self._state),

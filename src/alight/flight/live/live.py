@@ -20,7 +20,7 @@ from typing import Any
 
 from alight import terrain
 from alight.arrays import F64
-from alight.flight.live.health import POSE, STEP, VERDICT, LaneState, Watch
+from alight.flight.live.health import POSE, STEP, LaneState, Watch
 from alight.flight.live.lane_process import LaneLost, LaneProcess, LaneSpec
 from alight.flight.live.lanes import NavigationProcess, make_judging, make_mapping
 from alight.flight.live.mailbox import Closed, Mailbox
@@ -58,7 +58,7 @@ class LiveOptions:
     listener: Listener = field(default_factory=Listener)
     recorder: Recorder | None = None
     drop: bool = True
-    waiting: int = 2  # exposures that may wait for the navigation lane, and for the mapping lane
+    waiting: int = 2  # exposures that may wait for the navigation lane; in flight three times as many for mapping
     schedule: int | None = 1000  # number of last entries of the schedule that are kept; None: all entries
     folder: Path | None = None  # for tiles that the vehicle has left behind; None: the system's temporary folder
     appearance: terrain.Model | None = None
@@ -87,7 +87,8 @@ class Live:
         self._used = {kind: deque[Any](maxlen=options.schedule) for kind in Schedule.__dataclass_fields__}
         drop, waiting = options.drop, options.waiting
         self._batches = Mailbox[FrameBatch](waiting, self._later_batch if drop else None)
-        self._exposures = Mailbox[Navigation](waiting, self._later_exposure if drop else None)
+        # many exposures are no keyframes, and cost the mapping lane little
+        self._exposures = Mailbox[Navigation](3 * waiting if drop else waiting, self._later_exposure if drop else None)
         # newest exposure in a map, the map, and a location that it must show, (2,) metres in its frame
         self._maps = Mailbox[tuple[int, MapSnapshot, F64 | None]](1, (lambda old, new: new) if drop else None)
         self.policy, self._judge_waits = options.policy or FlightPolicy(settings.sites.every), threading.Event()
@@ -123,7 +124,7 @@ class Live:
 
     @property
     def health(self) -> str:
-        """Present states, rates and counts of the lanes as one line."""
+        """Newest verdict with its age, and present states, rates and counts of the lanes, as one line."""
         return self.watch.line(self.policy.effort_control.effort)
 
     @property
@@ -348,7 +349,8 @@ class Live:
                     raise Closed from None
                 continue
             self._use("judged", t_ns, about=None if about is None else (float(about[0]), float(about[1])))
-            self.watch.reached(VERDICT, t_ns)
+            world = verdict.in_world()
+            self.watch.judged(t_ns, world.sites)
             if recorder is not None:
-                recorder.verdict(t_ns, verdict.in_world())
+                recorder.verdict(t_ns, world)
             self._options.listener.verdict(verdict, t_ns)

@@ -15,6 +15,7 @@ from alight.outputs.recorder import Recorder, make_room
 from alight.pipeline import FlightPolicy
 from alight.records import NO_ZONES, AlightError, Event, Frame, Motion, RunResult
 from alight.records.codec import FlightHead
+from alight.records.map_frame import in_world
 from alight.runs import appearance_of, result_of
 from alight.settings import Settings
 from alight.sources import Source
@@ -90,9 +91,12 @@ class LiveRun:
         if (kept := make_room(request.out / RECORDING)) is not None:
             log.warning("%s: the recording of a run that did not end is kept as %s", request.out, kept.name)
         self.recorder = Recorder(request.out / RECORDING, head) if request.record else None
+        self._listener, self._motions = listener or Listener(), list[Motion]()
+        policy = policy or FlightPolicy(min(settings.sites.every, 1))  # as often as the computer can
         options = LiveOptions(
-            listener or Listener(), self.recorder, folder=request.out, appearance=appearance_of(settings),
-            imu=source.imu_noise, real_time=request.real_time, policy=policy, zones=request.zones,
+            replace(self._listener, motion=self._keep), self.recorder, folder=request.out,
+            appearance=appearance_of(settings), imu=source.imu_noise, real_time=request.real_time, policy=policy,
+            zones=request.zones,
         )  # fmt: skip
         self.live = Live(source.rig, settings, options)
 
@@ -107,6 +111,7 @@ class LiveRun:
                 f"{self._source.name}: not one image came; see that the camera or the folder gives pictures"
             )
         decision, recorder = self.live.finish(), self.recorder
+        decision = replace(decision, motions=tuple(sorted(in_world(self._motions), key=lambda m: m.t_ns)))
         if recorder is not None:
             recorder.decision(decision)
         self.close()
@@ -117,6 +122,11 @@ class LiveRun:
         if recorder is not None:
             counts |= {f"recording: messages missing, {why}": n for why, n in recorder.lost.items()}
         return replace(result, counts=counts)
+
+    def _keep(self, motion: Motion) -> None:
+        """Keep a motion for the trajectory, at 2 kB."""
+        self._motions.append(replace(motion, odometry=None))
+        self._listener.motion(motion)
 
     def close(self) -> None:
         """End the lanes and the recording; further calls have no effect."""

@@ -34,6 +34,7 @@ class MapSnapshot:
     attitude: bool = True  # whether an attitude was measured, or the poses are given
     passed: Remembered = NOWHERE  # cells that moving objects crossed
     came: Remembered = NOWHERE  # cells where a person or object recently came to stand
+    whole: bool = False  # whether it is the map of a whole run
 
     @property
     def missing(self) -> MissingVeto:
@@ -79,4 +80,4 @@ def map_at_end(
     ups = [m.world_from_body.translation[2] for m in trajectory.usable.values()]
     above = float(np.median(ups) - frame.offset_world[2] - (ground or 0))
     last = trajectory.motions[-1].world_from_body.translation - frame.offset_world
-    return MapSnapshot(elevation, tuple(looking_down(views)), last, above, frame, trajectory.attitude)
+    return MapSnapshot(elevation, tuple(looking_down(views)), last, above, frame, trajectory.attitude, whole=True)

@@ -14,7 +14,7 @@ from alight.arrays import F64, Mask
 from alight.elevation import TiledElevation, TileStore
 from alight.geometry import Box, Grid
 from alight.parallax.plane_sweep import ENOUGH
-from alight.parallax.sparse_points import NO_POINTS, find_points, height_range, supported
+from alight.parallax.sparse_points import NO_POINTS, Features, find_points, height_range, is_within, supported
 from alight.parallax.views import ground_sampling
 from alight.pipeline.mapping.keyframes import looking_down
 from alight.records import Datum, ElevationMap, Flag, Heights, SettingsError, View, is_trusted
@@ -22,6 +22,7 @@ from alight.settings import StageSettings
 from alight.settings.tuning import MappingTuning
 
 NO_PARALLAX = "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
+HARDLY_MOVED = "the aircraft hardly moved for its height, so no height can be measured"
 # by `parallax.quality`: cell size over 1.8 pixels, and least cell size over the cell size on which the lander is
 # judged
 QUALITY = {"fast": (2.0, 1.0), "normal": (1.0, 0.5), "fine": (1.0, 0.0)}
@@ -105,6 +106,11 @@ class GroundMap:
     reason: str = ""  # why there is no map
     datum: Datum | None = None  # common error of all heights
     points: F64 = field(default_factory=lambda: NO_POINTS)
+    features: Features = field(init=False)  # of the views of a search, for the next one
+
+    def __post_init__(self) -> None:
+        """Begin without features."""
+        self.features = Features(self.settings.parallax.points)
 
     def find_ground(self, views: Sequence[View], least: float = 0.0, points: F64 = NO_POINTS) -> bool:
         """Find the ground height and the cell size; return False, with `reason` set, if nothing can be measured.
@@ -124,19 +130,24 @@ class GroundMap:
             self.reason = NO_PARALLAX
             return False
         tuning = self.settings.parallax.points
+        centres = np.array([v.centre for v in down])
+        moved = float(np.linalg.norm(np.ptp(centres, axis=0)))
+        if least and not is_within(down, moved / least, tuning, self.features):
+            self.reason = HARDLY_MOVED
+            return False
         if len(points) < self.settings.mapping.least_known:
-            points = find_points(down, tuning)
+            points = find_points(down, tuning, self.features)
         else:
             points = supported(points, float(np.median([v.centre[2] for v in down])), tuning)
         below = points[points[:, 2] < max(v.centre[2] for v in down)]
         if len(below) < ENOUGH:
             self.reason = NO_PARALLAX
             return False
-        centres = np.array([v.centre for v in down])
-        if np.linalg.norm(np.ptp(centres, axis=0)) < least * (centres[-1, 2] - np.median(below[:, 2])):
-            self.reason = "the aircraft hardly moved for its height, so no height can be measured"
+        if moved < least * (centres[-1, 2] - np.median(below[:, 2])):
+            self.reason = HARDLY_MOVED
             return False
         self.points, self.ground = below, float(np.median(below[:, 2]))
+        self.features = Features(tuning)
         if self.elevation is None:
             size = float(np.median([cell_size(v, self.ground, self.settings, self.by_quality) for v in down]))
             self.elevation = self._empty(self.settings.parallax.cell or nice_cell(size))

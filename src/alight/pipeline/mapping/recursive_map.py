@@ -12,7 +12,7 @@ import numpy as np
 from alight.arrays import F64, U16, Mask
 from alight.elevation import TiledElevation, TileStore, doublings_up_to
 from alight.elevation.tiles import bytes_a_cell
-from alight.geometry import Box, Grid
+from alight.geometry import Box, Grid, box_of
 from alight.parallax.recursive import RecursiveParallax
 from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, map_at_end
 from alight.pipeline.mapping.ground_map import GroundMap, refuse_too_large
@@ -20,7 +20,18 @@ from alight.pipeline.mapping.keyframes import FrameStore, Keyframe, bounds, is_k
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.remembered import NOWHERE, Remembered, what_moves, who_came
 from alight.pipeline.timing import Progress, Timings
-from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, Motion, MotionState, Rig, View, is_trusted
+from alight.records import (
+    ElevationMap,
+    Flag,
+    Heights,
+    KeyframePosterior,
+    Motion,
+    MotionState,
+    Rig,
+    View,
+    is_flagged,
+    is_trusted,
+)
 from alight.records.map_frame import MapFrame, Tie
 from alight.settings import StageSettings
 
@@ -152,7 +163,8 @@ class RecursiveMap(GroundMap):
     def under(self, views: Sequence[View], about: F64 | None = None) -> ElevationMap | None:
         """Return the map of the ground in the views, and around `about`, (2,) metres; None if nothing trusted was seen.
 
-        Its cell size is that of the newest keyframe, doubled as often as the lander's judging cell allows.
+        Of unseen ground, only a margin is kept. The cell size is that of the newest keyframe, doubled as often as the
+        lander's judging cell allows.
 
         Raises:
             SettingsError: the map would be too large for any memory, as when the ground height is wrong.
@@ -166,7 +178,17 @@ class RecursiveMap(GroundMap):
         here = self.elevation.cell_at(self.level)
         level = self.level + doublings_up_to(here, self.settings.lander.judging_cell)
         found = self.elevation.read(_window(self.elevation, low, high, level, bytes_a_cell()))
-        return replace(found, datum=self.datum) if found.trusted.any() else None
+        if not found.trusted.any():
+            return None
+        shown = ~is_flagged(found.flags, Flag.UNSEEN)
+        if about is not None:
+            shown[found.grid.box_about(np.array([about - reach, about + reach]))] = True
+        beside = self.settings.mapping.given_cells // 2  # cells, and steps of these, so that blocks of cells stay whole
+        rows, cols = (
+            slice(max(s.start - beside, 0) // beside * beside, min(s.stop + beside, n))
+            for s, n in zip(box_of(shown), found.grid.shape, strict=True)
+        )
+        return replace(found.part((rows, cols)), datum=self.datum)
 
 
 def _window(elevation: TiledElevation, low: F64, high: F64, level: int, each: float) -> Grid:
@@ -269,7 +291,9 @@ class RecursiveMapper:
             if self._map.out_of_range and due:
                 self._map.find_ground_again(self._views_now(), least)
             return steps
-        if due and self._map.find_ground(self._views_now(), least):
+        for view in looking_down(self._views_now(1))[:1]:
+            self._map.features.of(view)  # each as it comes; all of them at once would take a second
+        if self.store.taken >= self._settings.mapping.find_every and self._map.find_ground(self._views_now(), least):
             return self._advance(self.store.keyframes, navigation, effort)
         if len(self.store.keyframes) >= self._few:  # height and required baseline are unknown
             self.store.thin()

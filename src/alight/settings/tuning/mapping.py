@@ -12,7 +12,10 @@ class MappingTuning(FrozenModel):
 
     first_step: Positive = Field(0.25, description="Distance of keyframes before the height above ground is known, m")
     find_every: int = Field(
-        8, ge=2, description="Keyframes from one search for the ground to the next; in flight it uses those of two"
+        8,
+        ge=2,
+        description="Keyframes from one search for the ground to the next; the first in flight takes as many, to twice "
+        "as many",
     )
     kept_to_look: int = Field(64, ge=3, description="Keyframes whose images are kept for pixels finer than the heights")
     least_known: int = Field(

@@ -10,7 +10,7 @@ import yaml
 
 from alight.records import p_safe_text
 from alight.records.campaign import OUTCOMES, CampaignHead, LandingRecord
-from alight.report import TEMPLATES, words
+from alight.report import templates, words
 from alight.trials.campaign.numbers import CPU_LIMIT, CampaignNumbers, Spread, fault_of
 
 BAD = ("landed unsafely", "wrongly refused", "handed over", "failed")  # listed one by one
@@ -59,19 +59,23 @@ def render_campaign(
         pictures: data URIs of pictures and films, by file name.
         other: name and statistics of a campaign to compare with; None: no comparison.
     """
-    return TEMPLATES.get_template("campaign.html.j2").render(
-        name=name,
-        head=head,
-        version=head.alight,
-        good=numbers.landings > 0 and numbers.outcomes["landed unsafely"] + numbers.outcomes["failed"] == 0,
-        headline=_headline(numbers),
-        detail=_detail(numbers),
-        chips=[(outcome, str(count)) for outcome, count in numbers.outcomes.items()],
-        unsafe=[_unsafe(r, pictures.get(r.picture or "")) for r in records if r.outcome == "landed unsafely"],
-        landings=[_row(r, pictures) for r in records],
-        outcomes=OUTCOMES,
-        tables=[t for t in _tables(name, head, records, numbers, other) if t.rows],
-        settings=yaml.safe_dump(head.settings, sort_keys=False),
+    return (
+        templates()
+        .get_template("campaign.html.j2")
+        .render(
+            name=name,
+            head=head,
+            version=head.alight,
+            good=numbers.landings > 0 and numbers.outcomes["landed unsafely"] + numbers.outcomes["failed"] == 0,
+            headline=_headline(numbers),
+            detail=_detail(numbers),
+            chips=[(outcome, str(count)) for outcome, count in numbers.outcomes.items()],
+            unsafe=[_unsafe(r, pictures.get(r.picture or "")) for r in records if r.outcome == "landed unsafely"],
+            landings=[_row(r, pictures) for r in records],
+            outcomes=OUTCOMES,
+            tables=[t for t in _tables(name, head, records, numbers, other) if t.rows],
+            settings=yaml.safe_dump(head.settings, sort_keys=False),
+        )
     )
 
 
