@@ -133,11 +133,6 @@ def cases(kind: Kind, count: int) -> list[Case]:
     return [Case(OPEN[(5 * k) % len(OPEN)], HEIGHTS[k % len(HEIGHTS)], kind, k + 1) for k in range(count)]
 
 
-def bare_cases(kind: Kind) -> list[Case]:
-    """A flight without wires over every scene, from 15, 25 and 40 m in turn: what is found there is no wire."""
-    return [Case(s, HEIGHTS[k % 3], kind, 300 + BARE_EVERY * k) for k, s in enumerate(OPEN)]
-
-
 @cache
 def _made_by() -> str:
     files = sorted(Path(alight_sim.__file__).parent.rglob("*.py"))

@@ -16,6 +16,7 @@ import numba
 import pytest
 from damage import write_flight, write_photos
 from hypothesis import settings
+from refusal import Refused, refused_by
 
 from alight.loop_forms import compile_loops
 
@@ -80,6 +81,12 @@ def flight(tmp_path: Path) -> Path:
 def photos(tmp_path: Path) -> Path:
     """A tiny healthy folder of photos as DJI writes them."""
     return write_photos(tmp_path / "survey")
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
+    """Return a function that runs a command which must fail, and returns the line of its error."""
+    return refused_by(capsys)
 
 
 @pytest.fixture

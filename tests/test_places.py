@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from damage import write_flight, write_photos
 from length import first
+from refusal import Refused
 
 from alight.cli import call
 
@@ -57,13 +58,10 @@ def whole(out: Path) -> None:
     assert "alight" in json.loads((out / "run.json").read_text(encoding="utf-8"))
 
 
-def test_somebody_elses_raster_is_not_overwritten(
-    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_somebody_elses_raster_is_not_overwritten(flight: Path, tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "dem.tif").write_bytes(b"a survey of a year")
-    assert call(["run", str(flight), "--out", str(tmp_path / "out")]) == 2
-    assert "holds files that are not a run's" in capsys.readouterr().err
+    refused(["run", flight, "--out", tmp_path / "out"], "holds files that are not a run's")
     assert (tmp_path / "out" / "dem.tif").read_bytes() == b"a survey of a year"
 
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from refusal import Refused
 from rich.console import Console
 
 import alight_sim
@@ -29,16 +30,6 @@ ground:
   size: [80, 80]
   relief: [{height: 6, longest: 20, shortest: 5}]
 """
-
-
-def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """Run a command that must fail; return its one line."""
-    assert cli.call(arguments) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.count("\n") == 1
-    assert told.err.startswith("error: ")
-    return told.err
 
 
 @pytest.fixture
@@ -87,20 +78,20 @@ def test_a_list_is_counted_from_one() -> None:
 
 
 def test_force_replaces_a_simulated_flight_and_nothing_else(
-    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
 ) -> None:
     out = tmp_path / "flight"
     command = ["simulate", str(small), "--out", str(out), "--duration", "0.25"]
     assert cli.call(command) == 0
     capsys.readouterr()
-    assert f"{out}: exists already" in refused(command, capsys)
+    assert f"{out}: exists already" in refused(command)
     assert cli.call([*command, "--force"]) == 0
     capsys.readouterr()
     other = tmp_path / "thesis"
     other.mkdir()
     (other / "thesis.tex").write_text("precious")
     command[3] = str(other)
-    assert "exists already" in refused([*command, "--force"], capsys)
+    assert "exists already" in refused([*command, "--force"])
     assert [p.name for p in other.iterdir()] == ["thesis.tex"]
 
 
@@ -124,11 +115,11 @@ def test_force_replaces_a_simulated_flight_and_nothing_else(
     ],
 )
 def test_a_scene_that_cannot_be_flown_is_told_in_one_line(
-    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    text: str, words: str, tmp_path: Path, refused: Refused
 ) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text(text)
-    told = refused(["simulate", str(file), "--out", str(tmp_path / "flight")], capsys)
+    told = refused(["simulate", str(file), "--out", str(tmp_path / "flight")])
     assert words in told
     assert [p.name for p in tmp_path.iterdir()] == ["mine.yaml"]
 
@@ -152,10 +143,10 @@ def test_a_mistake_on_the_line_is_told_in_one_line(
     words: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    refused: Refused,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert words in refused(["simulate", *arguments], capsys)
+    assert words in refused(["simulate", *arguments])
     assert list(tmp_path.iterdir()) == []
 
 

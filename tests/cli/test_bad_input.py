@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from damage import change_field, change_line, cut_off, write_flight, write_photo, write_photos, write_yaml
+from refusal import Refused
 
 from alight import cli
 from alight.geometry import Pose, so3_exp
@@ -38,34 +39,24 @@ def told(out: Path) -> dict[str, Any]:
     return tree
 
 
-def refused(answer: tuple[int, str, str], *words: str) -> None:
-    """Assert the exit code 2 and one line with the reason."""
-    code, out, err = answer
-    assert (code, out) == (2, "")
-    assert err.startswith("error: ")
-    assert err.count("\n") == 1
-    for w in words:
-        assert w in err
-
-
 # -- refused
 
 
-def test_an_empty_folder(run: Run, tmp_path: Path) -> None:
+def test_an_empty_folder(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    refused(run(tmp_path / "empty"), "the folder is empty; give a flight log")
+    refused(["run", tmp_path / "empty", "--out", tmp_path / "out"], "the folder is empty; give a flight log")
     assert not (tmp_path / "out").exists()
 
 
-def test_a_file(run: Run, tmp_path: Path) -> None:
+def test_a_file(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "flight.zip").write_text("")
-    refused(run(tmp_path / "flight.zip"), "flight.zip: a file; give")
+    refused(["run", tmp_path / "flight.zip", "--out", tmp_path / "out"], "flight.zip: a file; give")
 
 
-def test_photos_without_gps(run: Run, tmp_path: Path) -> None:
+def test_photos_without_gps(refused: Refused, tmp_path: Path) -> None:
     for k in range(3):
         write_photo(tmp_path / "survey" / f"{k}.jpg", k, place=None)
-    refused(run(tmp_path / "survey"), "no photo has a GPS position")
+    refused(["run", tmp_path / "survey", "--out", tmp_path / "out"], "no photo has a GPS position")
 
 
 @pytest.mark.parametrize(
@@ -79,31 +70,38 @@ def test_photos_without_gps(run: Run, tmp_path: Path) -> None:
         ({"distortion_coefficients": ["a lot"]}, "distortion_coefficients"),
     ],
 )
-def test_a_calibration_with_a_wrong_matrix(run: Run, flight: Path, change: dict[str, Any], word: str) -> None:
+def test_a_calibration_with_a_wrong_matrix(
+    refused: Refused, tmp_path: Path, flight: Path, change: dict[str, Any], word: str
+) -> None:
     path = flight / "mav0" / "cam1" / "sensor.yaml"
     tree = yaml.safe_load(path.read_text().removeprefix("%YAML:1.0\n"))
     write_yaml(path, tree | change)
-    refused(run(flight), "cam1/sensor.yaml", word)
+    refused(["run", flight, "--out", tmp_path / "out"], "cam1/sensor.yaml", word)
 
 
 def test_photos_without_the_extra_are_refused_before_they_are_read(
-    run: Run, photos: Path, monkeypatch: pytest.MonkeyPatch
+    refused: Refused, tmp_path: Path, photos: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     sample = iter(np.zeros((2, 48, 64), np.uint8))  # judged for false colours
     monkeypatch.setattr("alight.photos.reading.photo_pixels.read_image", lambda *_: next(sample))
-    refused(run(photos), "pycolmap is not installed; mend it with: pip install 'alight[photos]'")
+    refused(
+        ["run", photos, "--out", tmp_path / "out"],
+        "pycolmap is not installed; mend it with: pip install 'alight[photos]'",
+    )
 
 
-def test_a_folder_for_the_results_that_may_not_be_written(run: Run, flight: Path, tmp_path: Path) -> None:
+def test_a_folder_for_the_results_that_may_not_be_written(refused: Refused, flight: Path, tmp_path: Path) -> None:
     (tmp_path / "out").write_text("a file")
-    refused(run(flight), "out: is a file, not a folder; choose another folder with --out")
+    refused(
+        ["run", flight, "--out", tmp_path / "out"], "out: is a file, not a folder; choose another folder with --out"
+    )
 
 
-def test_no_image_can_be_read(run: Run, flight: Path) -> None:
+def test_no_image_can_be_read(refused: Refused, tmp_path: Path, flight: Path) -> None:
     for path in flight.rglob("*.png"):
         path.write_bytes(b"")
-    refused(run(flight), "not one image could be read")
+    refused(["run", flight, "--out", tmp_path / "out"], "not one image could be read")
 
 
 # -- done, with a warning
@@ -199,10 +197,10 @@ def test_an_earlier_run_is_replaced(run: Run, flight: Path, tmp_path: Path) -> N
     assert not (tmp_path / "out" / "route.plan").exists()
 
 
-def test_what_is_somebody_elses_stays(run: Run, flight: Path, tmp_path: Path) -> None:
+def test_what_is_somebody_elses_stays(run: Run, refused: Refused, flight: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "thesis.tex").write_text("precious")
-    refused(run(flight), "--force")
+    refused(["run", flight, "--out", tmp_path / "out"], "--force")
     assert run(flight, "--force")[0] == 0
     assert (tmp_path / "out" / "thesis.tex").read_text() == "precious"
 

@@ -12,6 +12,7 @@ import yaml
 from damage import UNSMOOTHED, change_field, dji_tags, write_photo, write_yaml, xmp_packet
 from length import first_rows
 from PIL import ExifTags, Image
+from refusal import Refused
 
 from alight.cli import call
 from alight.pipeline.mapping.ground_map import refuse_too_large
@@ -168,16 +169,17 @@ def test_a_map_too_large_is_refused_with_the_cell_that_mends_it() -> None:
     [("hazards", "gdalwarp -tr"), ("run", "parallax.cell"), ("simulate", "smaller images"), ("check", "--seconds")],
 )
 def test_the_advice_where_memory_ends_fits_the_command(
-    command: str, advice: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    command: str, advice: str, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     def full(*_: object, **__: object) -> int:
         raise MemoryError
 
     monkeypatch.setattr("typer.Typer.__call__", full)
-    assert call([command, "x"]) == 2
-    assert advice in capsys.readouterr().err
-    assert call([command, "x", "--set", "tuning.terrain.cell=1e-4"]) == 2
-    assert "take back what makes it large among tuning.terrain.cell=1e-4, or" in capsys.readouterr().err
+    refused([command, "x"], advice)
+    refused(
+        [command, "x", "--set", "tuning.terrain.cell=1e-4"],
+        "take back what makes it large among tuning.terrain.cell=1e-4, or",
+    )
 
 
 def test_an_origin_that_is_not_that_of_the_flight(

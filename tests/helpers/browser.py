@@ -1,8 +1,7 @@
-"""Chromium without a window, driven over its DevTools pipe: pages, keys, mouse, requests, screenshots."""
+"""Chromium without a window, driven over its DevTools pipe: pages, keys, mouse, requests."""
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import shutil
@@ -114,10 +113,6 @@ class Tab:
         for kind in ("mouseMoved", *(("mousePressed", "mouseReleased") if click else ())):
             pressed = {"button": "left", "clickCount": 1} if kind != "mouseMoved" else {}
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
-
-    def screenshot(self, path: Path, whole: bool = False) -> None:
-        """Write a picture of the window, or of the whole page, as PNG."""
-        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"]))
 
 
 @contextmanager

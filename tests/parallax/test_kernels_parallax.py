@@ -12,6 +12,7 @@ import twins
 from lenses import LENSES, each_lens
 from numpy.testing import assert_allclose, assert_array_equal
 
+from alight.arrays import FAR
 from alight.geometry import Camera, Grid, Pose, ground_projection, so3_exp
 from alight.parallax import gauss_newton_kernels as parallax
 from alight.parallax import orthophoto_kernels as ortho
@@ -19,7 +20,7 @@ from alight.parallax import projection_kernels as projection
 from alight.parallax import sweep_kernels as sweep
 from alight.parallax import view_kernels as sight
 from alight.parallax import visibility_kernels as surface
-from alight.parallax.sorting_kernels import NOTHING, fill_row, median_row, network, sort_rows
+from alight.parallax.sorting_kernels import fill_row, median_row, network, sort_rows
 from alight.parallax.views import radius2_limit
 
 N, ROWS, COLS, DEPTH = 6, 17, 19, 12
@@ -293,7 +294,7 @@ def test_networks_sort_and_find_the_median(n: int) -> None:
     for s, row in zip(samples, rows, strict=True):
         fill_row(s, row, count)
     sort_rows(rows, network(n))
-    assert_array_equal(rows, np.sort(np.where(np.isnan(samples), NOTHING, samples), axis=0))
+    assert_array_equal(rows, np.sort(np.where(np.isnan(samples), FAR, samples), axis=0))
     median_row(rows, count, median)
     seen = count > 0
     assert_array_equal(count, np.isfinite(samples).sum(axis=0))

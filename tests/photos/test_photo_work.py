@@ -16,6 +16,7 @@ from threading import Thread
 import numpy as np
 import pytest
 from drawn_photos import SMALL, draw_photos
+from refusal import Refused
 
 from alight.cli import call
 from alight.jobs import InTurn, Task
@@ -111,9 +112,8 @@ def test_work_of_something_else_is_refused_by_name(tmp_path: Path) -> None:
         WorkFolder(tmp_path, key, resume=True)
 
 
-def test_only_photos_are_resumed(tmp_path: Path, flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(["run", str(flight), "--out", str(tmp_path / "out"), "--resume"]) == 2
-    assert "--resume: is for folders of photos" in capsys.readouterr().err
+def test_only_photos_are_resumed(tmp_path: Path, flight: Path, refused: Refused) -> None:
+    refused(["run", flight, "--out", tmp_path / "out", "--resume"], "--resume: is for folders of photos")
 
 
 def start(photos: Path, out: Path, *more: str) -> subprocess.Popen[bytes]:
@@ -168,7 +168,7 @@ def wait_for(out: Path, what: str, count: int, still: Callable[[], bool]) -> Non
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs kill -9")
 def test_a_run_that_was_killed_gives_the_same_rasters(
-    survey: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    survey: Path, whole: Path, tmp_path: Path, refused: Refused
 ) -> None:
     """A run is killed among the tiles by kill -9 and then continued."""
     cut = tmp_path / "cut"
@@ -179,14 +179,12 @@ def test_a_run_that_was_killed_gives_the_same_rasters(
     there = {name: (cut / WORK / name).stat().st_mtime_ns for name in pieces(cut)}
     assert any(name.startswith("tile") for name in there), "it ended before it was killed"
     again = ["run", str(survey), "--out", str(cut), *SMALL]
-    assert call([*again, "--set", "parallax.cell=0.5", "--resume"]) == 2
-    assert "another settings.parallax.cell (0.3, now 0.5)" in capsys.readouterr().err
+    refused([*again, "--set", "parallax.cell=0.5", "--resume"], "another settings.parallax.cell (0.3, now 0.5)")
     assert {name: (cut / WORK / name).stat().st_mtime_ns for name in pieces(cut)} == there
     assert call([*again, "--resume"]) == 0
     assert_same(cut, whole)
     assert not (cut / WORK).exists()
-    assert call([*again, "--resume"]) == 2
-    assert "holds a finished run" in capsys.readouterr().err
+    refused([*again, "--resume"], "holds a finished run")
 
 
 @pytest.mark.filterwarnings("ignore")  # the cluster's own
@@ -213,11 +211,15 @@ def test_a_cluster_gives_the_same_rasters_and_a_killed_worker_loses_nothing(
 
 
 def test_a_scheduler_is_for_photos_and_has_to_answer(
-    survey: Path, flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    survey: Path, flight: Path, tmp_path: Path, refused: Refused
 ) -> None:
-    assert call(["run", str(flight), "--out", str(tmp_path / "a"), "--scheduler", "tcp://127.0.0.1:9"]) == 2
-    assert "--scheduler: is for folders of photos" in capsys.readouterr().err
+    refused(
+        ["run", flight, "--out", tmp_path / "a", "--scheduler", "tcp://127.0.0.1:9"],
+        "--scheduler: is for folders of photos",
+    )
     without = "distributed" not in sys.modules and find_spec("distributed") is None
     if without:
-        assert call(["run", str(survey), "--out", str(tmp_path / "b"), "--scheduler", "tcp://127.0.0.1:9"]) == 2
-        assert "distributed (Dask) is not installed" in capsys.readouterr().err
+        refused(
+            ["run", survey, "--out", tmp_path / "b", "--scheduler", "tcp://127.0.0.1:9"],
+            "distributed (Dask) is not installed",
+        )

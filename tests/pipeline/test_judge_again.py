@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from meadow_flight import flight, settings_of
+from refusal import Refused
 
 import alight
 from alight import Lander, Result
@@ -137,19 +138,16 @@ def test_damaged_evidence_is_one_line(cut: int, tmp_path: Path, capsys: pytest.C
     assert line.count("\n") == 1
 
 
-def test_a_folder_without_evidence_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(["judge", str(tmp_path / "nothing")]) == 2
-    assert "no finished run here" in capsys.readouterr().err
+def test_a_folder_without_evidence_is_named(tmp_path: Path, refused: Refused) -> None:
+    refused(["judge", tmp_path / "nothing"], "no finished run here")
     for path in run("batch").save(tmp_path / "run"):
         path.unlink() if path.name == "evidence.npz" else None
-    assert call(["judge", str(tmp_path / "run")]) == 2
-    assert "evidence.npz: missing; name the folder of a run" in capsys.readouterr().err
+    refused(["judge", tmp_path / "run"], "evidence.npz: missing; name the folder of a run")
 
 
-def test_a_run_is_not_replaced_by_its_own_judgement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_is_not_replaced_by_its_own_judgement(tmp_path: Path, refused: Refused) -> None:
     run("batch").save(tmp_path / "run")
-    assert call(["judge", str(tmp_path / "run"), "--out", str(tmp_path / "run")]) == 2
-    assert "evidence.npz: lies in" in capsys.readouterr().err
+    refused(["judge", tmp_path / "run", "--out", tmp_path / "run"], "evidence.npz: lies in")
     assert (tmp_path / "run" / "run.json").exists()
 
 

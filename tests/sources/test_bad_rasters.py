@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from refusal import Refused
 from written_raster import write
 
 from alight.cli import call
@@ -21,32 +22,26 @@ def ground(shape: tuple[int, int] = (81, 81)) -> np.ndarray:
     return np.random.default_rng(0).normal(100.0, 0.005, shape).astype(np.float32)
 
 
+def judging(path: Path, *options: str) -> list[str]:
+    """Return the command that judges a raster."""
+    return ["hazards", str(path), "--sigma", "0.01", "--out", str(path.parent / "out"), *options]
+
+
 def judged(path: Path, capsys: pytest.CaptureFixture[str], *options: str) -> tuple[int, str, str]:
     """Run `alight hazards` on a raster; return exit code, stdout and stderr."""
-    code = call(["hazards", str(path), "--sigma", "0.01", "--out", str(path.parent / "out"), *options])
+    code = call(judging(path, *options))
     said = capsys.readouterr()
     return code, said.out, said.err
 
 
-def refused(answer: tuple[int, str, str], *words: str) -> None:
-    """Assert the exit code 2 and one line with these words."""
-    code, out, err = answer
-    assert (code, out, err.count("\n")) == (2, "", 1), err
-    assert err.startswith("error: ")
-    for w in words:
-        assert w in err
-
-
 @pytest.mark.parametrize("value", [-9999.0, 1e30, -32768.0, -3.4028235e38, 0.0, 1e5])
 @pytest.mark.parametrize("declared", [None, -1.0])
-def test_no_data_that_is_not_declared(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], value: float, declared: float | None
-) -> None:
+def test_no_data_that_is_not_declared(tmp_path: Path, refused: Refused, value: float, declared: float | None) -> None:
     if value == 0.0 and declared is not None:
         pytest.skip("another value is declared: 0 may be a height")
     z = ground()
     z[:30] = value
-    refused(judged(write(tmp_path / "dem.tif", z, nodata=declared), capsys), "2430 of 6561 cells", "-a_nodata")
+    refused(judging(write(tmp_path / "dem.tif", z, nodata=declared)), "2430 of 6561 cells", "-a_nodata")
 
 
 def test_a_filling_among_the_heights_is_asked_about(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -61,9 +56,9 @@ def test_a_filling_among_the_heights_is_asked_about(tmp_path: Path, capsys: pyte
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int16", "float32"])
-def test_classes_are_no_heights(tmp_path: Path, capsys: pytest.CaptureFixture[str], dtype: str) -> None:
+def test_classes_are_no_heights(tmp_path: Path, refused: Refused, dtype: str) -> None:
     classes = np.random.default_rng(0).integers(1, 9, (81, 81)).astype(dtype)
-    refused(judged(write(tmp_path / "dem.tif", classes), capsys), "classes", "give heights in metres as float32")
+    refused(judging(write(tmp_path / "dem.tif", classes)), "classes", "give heights in metres as float32")
 
 
 def test_a_scale_is_applied(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -86,37 +81,37 @@ def test_rasters_too_small_for_a_footprint(
 
 
 @pytest.mark.parametrize("cell", [1e-9, 1e300, 5000.0])
-def test_cells_of_an_absurd_size(tmp_path: Path, capsys: pytest.CaptureFixture[str], cell: float) -> None:
-    refused(judged(write(tmp_path / "dem.tif", ground((20, 20)), cell), capsys), "cells of")
+def test_cells_of_an_absurd_size(tmp_path: Path, refused: Refused, cell: float) -> None:
+    refused(judging(write(tmp_path / "dem.tif", ground((20, 20)), cell)), "cells of")
 
 
-def test_a_raster_far_from_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_raster_far_from_everything(tmp_path: Path, refused: Refused) -> None:
     place = rasterio.Affine(0.1, 0, 1e200, 0, -0.1, 0)
-    refused(judged(write(tmp_path / "dem.tif", ground(), transform=place), capsys), "nowhere")
+    refused(judging(write(tmp_path / "dem.tif", ground(), transform=place)), "nowhere")
 
 
 @pytest.mark.parametrize("sigma", ["1e300", "-1", "nan", "inf"])
-def test_a_sigma_out_of_range(tmp_path: Path, capsys: pytest.CaptureFixture[str], sigma: str) -> None:
-    refused(judged(write(tmp_path / "dem.tif", ground()), capsys, "--sigma", sigma), "--sigma", "metres from 0 to 1000")
+def test_a_sigma_out_of_range(tmp_path: Path, refused: Refused, sigma: str) -> None:
+    refused(judging(write(tmp_path / "dem.tif", ground()), "--sigma", sigma), "--sigma", "metres from 0 to 1000")
 
 
-def test_a_raster_of_sigma_without_a_sigma(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_raster_of_sigma_without_a_sigma(tmp_path: Path, refused: Refused) -> None:
     spread = write(tmp_path / "s.tif", np.full((81, 81), 1e30, np.float32))
-    refused(judged(write(tmp_path / "dem.tif", ground()), capsys, "--sigma", str(spread)), "no height has a sigma")
+    refused(judging(write(tmp_path / "dem.tif", ground()), "--sigma", str(spread)), "no height has a sigma")
 
 
 @pytest.mark.parametrize("more", [{"count": 1}, {"tiled": True, "compress": "deflate"}])
-def test_a_raster_that_is_cut_off(tmp_path: Path, capsys: pytest.CaptureFixture[str], more: dict[str, Any]) -> None:
+def test_a_raster_that_is_cut_off(tmp_path: Path, refused: Refused, more: dict[str, Any]) -> None:
     dem = write(tmp_path / "dem.tif", ground((300, 300)), **more)
     dem.write_bytes(dem.read_bytes()[: dem.stat().st_size // 2])
-    refused(judged(dem, capsys), "dem.tif")
+    refused(judging(dem), "dem.tif")
 
 
-def test_a_coordinate_system_whose_name_is_no_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_coordinate_system_whose_name_is_no_text(tmp_path: Path, refused: Refused) -> None:
     path = write(tmp_path / "dem.tif", ground(), crs=LocalFrame(47.6, 13.4, 500.0).crs)
     whole = path.read_bytes()
     path.write_bytes(whole.replace(b"Greenwich", b"\xebreenwich"))
     assert path.read_bytes() != whole
-    refused(judged(path, capsys), "dem.tif", "not a raster that can be read")
+    refused(judging(path), "dem.tif", "not a raster that can be read")
     with pytest.raises(InputError, match="not a readable raster"):
         read_bands(path, 1, "f", "run it again")

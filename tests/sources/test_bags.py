@@ -24,6 +24,7 @@ from drawn_bags import (
     vector,
     write_bag,
 )
+from refusal import Refused
 
 from alight.cli import call
 from alight.geometry import Pose
@@ -459,14 +460,9 @@ def two(path: Path) -> Path:
         (two, "holds 2 bags, not the parts _0, _1, ... of one; name one of them, such as "),
     ],
 )  # fmt: skip
-def test_what_is_no_bag_is_one_line(
-    bag: Write, damage: Callable[[Path], Path], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_bag_is_one_line(bag: Write, damage: Callable[[Path], Path], words: str, refused: Refused) -> None:
     path = damage(bag())
-    assert call(["check", str(path)]) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1
-    assert words in err
+    refused(["check", path], words)
 
 
 def too_long(data: bytes) -> bytes:

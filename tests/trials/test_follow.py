@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from autopilot_rig import LOCAL, Rig
 from length import EITHER
+from refusal import Refused
 
 from alight.cli import call
 from alight.flight.autopilot import Setpoint
@@ -140,7 +141,6 @@ def test_a_vehicle_that_is_not_there_is_an_error(
     assert "Traceback" not in said
 
 
-def test_what_the_other_autopilot_decides_is_not_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_the_other_autopilot_decides_is_not_asked_for(refused: Refused) -> None:
     words = ["rehearse", "concrete", "--folder", "x", "--follow", "udp:127.0.0.1:0", "--height", "20", "--wind", "3"]
-    assert call(words) == 2
-    assert "--height and --wind: the autopilot that is followed" in capsys.readouterr().err
+    refused(words, "--height and --wind: the autopilot that is followed")

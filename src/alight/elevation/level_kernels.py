@@ -11,14 +11,14 @@ from alight.compiled import kernel
 @kernel
 def halve(
     height: F32, sigma: F32, flags: U16, views: U8, rgb: U8, residual: F32, sampling: F32,
-    unseen: int, refused: int, whole: int, enough: int,
+    unseen: int, refused: int,
     height2: F32, sigma2: F32, flags2: U16, views2: U8, rgb2: U8, residual2: F32, sampling2: F32,
 ) -> None:  # fmt: skip
     """Fill (R / 2, C / 2) arrays, initialised as `unseen`, with means over 2 x 2 cells of (R, C) arrays.
 
-    Cells with the flag `unseen` are ignored. Cells with a bit of `refused` are used only if fewer than `enough` of the
-    four cells are free of these bits. A coarse cell with fewer than `whole` seen cells stays unseen. Variances are
-    averaged but not divided. The coarse cell gets the largest sampling and number of views, and the union of the flags.
+    Cells with the flag `unseen` are ignored. Cells with a bit of `refused` are used only if fewer than two of the four
+    cells are free of these bits. A coarse cell with fewer than three seen cells stays unseen. Variances are averaged
+    but not divided. The coarse cell gets the largest sampling and number of views, and the union of the flags.
     """
     for r in range(height2.shape[0]):
         for c in range(height2.shape[1]):
@@ -27,9 +27,9 @@ def halve(
                 f = flags[2 * r + k // 2, 2 * c + k % 2]
                 seen += (f & unseen) == 0
                 good += (f & refused) == 0
-            if seen < whole:
+            if seen < 3:
                 continue
-            without = refused if good >= enough else unseen
+            without = refused if good >= 2 else unseen
             n, bits, most = 0, np.uint16(0), np.uint8(0)
             h, v, e, red, green, blue = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             coarsest = np.float32(0)

@@ -13,9 +13,6 @@ from alight.elevation.tiles import FIELDS, Fields, is_seen, nothing
 from alight.raster import upsample
 from alight.records import REFUSED, ElevationMap, Flag, is_trusted
 
-MIN_SEEN = 3  # of 4 cells, for a seen coarse cell
-MIN_TRUSTED = 2  # of 4 cells, for a trusted coarse cell
-
 
 def halve_fields(fine: Fields) -> Fields:
     """Compute fields at twice the cell size, as means of 2 x 2 cells (eq. 16b).
@@ -26,7 +23,7 @@ def halve_fields(fine: Fields) -> Fields:
     rows, cols = fine["flags"].shape
     out = nothing((rows // 2, cols // 2))
     whole = (np.ascontiguousarray(fine[k]) for k in FIELDS)
-    halve(*whole, int(Flag.UNSEEN), int(REFUSED), MIN_SEEN, MIN_TRUSTED, *(out[k] for k in FIELDS))
+    halve(*whole, int(Flag.UNSEEN), int(REFUSED), *(out[k] for k in FIELDS))
     return out
 
 

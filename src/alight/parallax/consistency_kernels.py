@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from alight.arrays import F32, I64
+from alight.arrays import F32, HALF, I64, ONE, ZERO
 from alight.compiled import kernel, parallel_kernel, prange
-from alight.parallax.single_kernels import HALF, ONE, ZERO
 
 
 @kernel

@@ -6,12 +6,10 @@ the compiler vectorises them: they are five to twelve times faster than loops ov
 
 import numpy as np
 
-from alight.arrays import F32, F64, I64, U8
+from alight.arrays import F32, F64, FAR, I64, ONE, TWO, U8, ZERO
 from alight.compiled import inline, kernel, parallel_kernel, pixelwise, prange
-from alight.parallax.single_kernels import ONE, TWO, ZERO
 from alight.parallax.sorting_kernels import fill_row, median_row, sort_rows
 
-UNKNOWN = np.float32(1e6)  # metres, replaces an unknown height: so far from all others that its weight is zero
 BAND = 24  # rows that a thread processes at a time
 CHUNK = 640  # columns processed at a time
 STRIDE = CHUNK + 4  # columns with two neighbours on either side
@@ -23,7 +21,7 @@ Four = tuple[np.float32, np.float32, np.float32, np.float32]
 @kernel
 def _no_lone_row(seen: F32, median: F32) -> None:
     for c in range(seen.size):
-        median[c] = median[c] if seen[c] >= TWO else UNKNOWN  # a median that no sample agrees with
+        median[c] = median[c] if seen[c] >= TWO else FAR  # a median that no sample agrees with
 
 
 @pixelwise
@@ -213,7 +211,7 @@ def normal_equations(
 @kernel
 def _fill_known(h: F32, out: F32) -> None:
     for c in range(h.size):
-        out[c] = h[c] if h[c] == h[c] else UNKNOWN
+        out[c] = h[c] if h[c] == h[c] else FAR  # so far from all others that its weight is zero
 
 
 @kernel

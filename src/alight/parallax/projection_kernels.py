@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from alight.arrays import F32, F64
+from alight.arrays import F32, F64, HALF, ONE, TWO, ZERO
 from alight.compiled import kernel, parallel_kernel, pixelwise, prange
-from alight.parallax.single_kernels import HALF, ONE, TWO, ZERO
 
 NEAR = np.float32(1e-3)  # metres, least depth in front of the camera
 ROLLS = 3  # iterations for the pixel row: each reduces the error to a tenth or less

@@ -7,10 +7,8 @@ from functools import cache
 
 import numpy as np
 
-from alight.arrays import F32, I64
+from alight.arrays import F32, FAR, I64
 from alight.compiled import kernel
-
-NOTHING = np.float32(1e9)  # replaces a missing sample: sorts behind all others
 
 
 @cache
@@ -32,11 +30,11 @@ def network(n: int) -> I64:
 
 @kernel
 def fill_row(samples: F32, out: F32, count: F32) -> None:
-    """Copy a row of samples to `out`, with `NOTHING` for NaN; add 1 to `count` where there is a sample."""
+    """Copy a row of samples to `out`, with `FAR` for NaN; add 1 to `count` where there is a sample."""
     for c in range(samples.size):
         s = samples[c]
         seen = s == s
-        out[c] = s if seen else NOTHING
+        out[c] = s if seen else FAR
         count[c] += np.float32(1) if seen else np.float32(0)
 
 

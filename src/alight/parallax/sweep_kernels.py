@@ -2,14 +2,13 @@
 
 import numpy as np
 
-from alight.arrays import F32, F64, I32, I64
+from alight.arrays import F32, F64, FAR, I32, I64
 from alight.compiled import inline, kernel, minimum_kernel, parallel_kernel, prange
+from alight.parallax.gauss_newton_kernels import BAND
 from alight.parallax.sorting_kernels import fill_row, sort_rows
 
 Four = tuple[np.float32, np.float32, np.float32, np.float32]
 
-FAR = np.float32(1e9)  # cost beyond the first and last plane
-BAND = 16  # rows that a thread processes at a time
 NEAR = 8  # cells: runs closer than this are computed as one
 
 

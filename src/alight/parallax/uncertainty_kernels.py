@@ -5,9 +5,8 @@ docs/method/uncertainty.md, docs/method/recursive.md
 
 import numpy as np
 
-from alight.arrays import F32, U8, U16
+from alight.arrays import F32, ONE, U8, U16, ZERO
 from alight.compiled import kernel, parallel_kernel, pixelwise, prange
-from alight.parallax.single_kernels import ONE, ZERO
 
 LEAST = np.float32(1e-4)  # metres, smallest sigma
 QUARTER = np.float32(0.25)

@@ -2,11 +2,8 @@
 
 import numpy as np
 
-from alight.arrays import F32, F64, U8
+from alight.arrays import F32, F64, FAR, ONE, U8, ZERO
 from alight.compiled import kernel, parallel_kernel, prange
-from alight.parallax.single_kernels import ONE, ZERO
-
-FAR = np.float32(1e6)  # metres, farther than any camera
 
 
 @kernel

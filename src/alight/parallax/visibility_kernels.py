@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from alight.arrays import F32, F64, U8
+from alight.arrays import F32, F64, ONE, TWO, U8, ZERO
 from alight.compiled import kernel, parallel_kernel, pixelwise, prange
 from alight.parallax.gauss_newton_kernels import BAND, CHUNK, invert_row
-from alight.parallax.single_kernels import ONE, TWO, ZERO
 
 Two = tuple[np.float32, np.float32]
 

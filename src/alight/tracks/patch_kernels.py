@@ -4,11 +4,10 @@ import math
 
 import numpy as np
 
-from alight.arrays import F32, F64, I32, I64, U8
+from alight.arrays import F32, F64, HALF, I32, I64, ONE, U8, ZERO
 from alight.compiled import kernel, sum_kernel
 from alight.tracks.corner_kernels import ray_at
 
-_ZERO, _HALF = np.float32(0.0), np.float32(0.5)
 _DIFFERENCE = 4.0  # px, step of the numerical derivative of the map between two views
 _MIN_DESCENT = 0.2  # cosine; shallower rays meet a plane across the axis instead
 
@@ -59,21 +58,21 @@ def _normalise_patch(lay: F32, m: int, grey: F32, gx: F32, gy: F32, sums: F64) -
     `lay` is the window with one pixel around it. `sums` (6,) gets the products xx, xy, yy of the gradients, the square
     of the grey levels, and the products of the x and y gradient with the grey levels.
     """
-    mean, mx, my, count, wide = _ZERO, _ZERO, _ZERO, m * m, m + 2
+    mean, mx, my, count, wide = ZERO, ZERO, ZERO, m * m, m + 2
     for r in range(m):
         above, here, below = lay[r * wide :], lay[(r + 1) * wide :], lay[(r + 2) * wide :]
         for c in range(m):
             k = r * m + c
             grey[k] = here[c + 1]
-            gx[k] = _HALF * (here[c + 2] - here[c])
-            gy[k] = _HALF * (below[c + 1] - above[c + 1])
+            gx[k] = HALF * (here[c + 2] - here[c])
+            gy[k] = HALF * (below[c + 1] - above[c + 1])
     for k in range(count):
         mean += grey[k]
         mx += gx[k]
         my += gy[k]
     unit = np.float32(1.0 / count)
     mean, mx, my = mean * unit, mx * unit, my * unit
-    xx, xy, yy, power, tx, ty = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    xx, xy, yy, power, tx, ty = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
     for k in range(count):
         gx[k] -= mx
         gy[k] -= my
@@ -99,8 +98,7 @@ def _gauss_newton_step(
     half = m // 2
     top, left = int(y) - half, int(x) - half
     b, a = np.float32(y - int(y)), np.float32(x - int(x))
-    one = np.float32(1.0)
-    w00, w01, w10, w11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
+    w00, w01, w10, w11 = (ONE - a) * (ONE - b), a * (ONE - b), (ONE - a) * b, a * b
     for r in range(m):
         upper, lower = image[top + r, left : left + m + 1], image[top + r + 1, left : left + m + 1]
         row = value[r * m : r * m + m]
@@ -108,7 +106,7 @@ def _gauss_newton_step(
             row[c] = (w00 * np.float32(upper[c]) + w01 * np.float32(upper[c + 1])) + (
                 w10 * np.float32(lower[c]) + w11 * np.float32(lower[c + 1])
             )
-    total, square, cross, ex, ey = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    total, square, cross, ex, ey = ZERO, ZERO, ZERO, ZERO, ZERO
     for k in range(len(value)):
         total += value[k]
         square += value[k] * value[k]

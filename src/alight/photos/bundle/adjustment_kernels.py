@@ -24,7 +24,6 @@ from alight.compiled import kernel, pixelwise
 from alight.motion.point_kernels import MIN_DEPTH, nearest_point, to_camera
 from alight.photos.bundle.camera_kernels import distort, expose, quadratic, row_time, undistort
 
-READOUT_NUMBER = 9  # index among the lens parameters: 0 scale, 1 aspect, 2 cu, 3 cv, 4 to 8 coefficients
 FAR = 1e4  # px, residual of a point behind the camera
 
 
@@ -94,7 +93,9 @@ def _by_pose(B: F64, x: F64, C: F64, R: F64, t: float, each: int, J: F64) -> Non
 
 @pixelwise
 def _by_lens(flat: F64, by_k: F64, of: F64, scale: F64, B: F64, velocity: F64, t: float, D: F64) -> None:
-    """Write the derivatives D (2, 10) of a pixel with respect to its lens parameters, readout time last (eqs. 3, 11).
+    """Write the derivatives D (2, 10) of a pixel with respect to its lens parameters (eqs. 3, 11).
+
+    They are scale, aspect, cu, cv, five coefficients, and the readout time.
 
     `flat`, `by_k`: output of `distort`; `of`: row of the lens table; `scale`: 1 + s and 1 + a of the lens; `B`:
     derivatives with respect to the point in the world; `t`: see `row_time`.
@@ -152,7 +153,7 @@ def linearise(
     Args:
         photo ... x: common arguments, see the module.
         scale: (c, 2) factors 1 + s and 1 + a of each lens (eq. 3).
-        number: (c, f) indices of each lens's free parameters (see `READOUT_NUMBER`), padded with -1.
+        number: (c, f) indices of each lens's free parameters (see `_by_lens`), padded with -1.
         place: (c, f) indices of the same parameters among all k free lens parameters.
         each: e, number of unknowns per photo.
         sigma: (N,) px, 1-sigma of each observation.

@@ -9,7 +9,6 @@ import numpy as np
 
 from alight.arrays import F64, I64, Mask
 from alight.geometry import Camera
-from alight.photos.bundle.adjustment_kernels import READOUT_NUMBER
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +61,9 @@ class PhotoLenses:
         """
         count = np.array([free[part].sum() for part in self.parts])
         number, place = np.full((2, len(count), count.max()), -1, np.int64)
-        for k, part in enumerate(self.parts):
-            own = np.flatnonzero(free[part])
-            number[k, : len(own)] = np.where(own == part.stop - part.start - 1, READOUT_NUMBER, own)
+        for k, (camera, part) in enumerate(zip(self.cameras, self.parts, strict=True)):
+            own, last = np.flatnonzero(free[part]), 4 + len(camera.coefficients)  # of the kernels' longer list
+            number[k, : len(own)] = np.where(own == part.stop - part.start - 1, last, own)
             place[k, : len(own)] = count[:k].sum() + np.arange(len(own))
         return number, place
 

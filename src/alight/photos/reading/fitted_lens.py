@@ -6,8 +6,6 @@ import numpy as np
 
 from alight.arrays import F64, Mask
 
-MARGIN = 1.02  # fitted range of radii, in multiples of the radius of the image's corner
-
 
 def fisheye_terms(scale: float, polynomial: list[float], radius: float) -> F64 | None:
     """Fit the equidistant model to Pix4D's fisheye; return (5,) pixels: f, f k1, ..., f k4.
@@ -21,7 +19,7 @@ def fisheye_terms(scale: float, polynomial: list[float], radius: float) -> F64 |
     """
     t = np.linspace(0.0, 1.0, 401)[1:]
     r = scale * (t[:, None] ** np.arange(len(polynomial)) @ np.array(polynomial))
-    inside = _within(r, radius * MARGIN)
+    inside = _within(r, radius)
     return _odd_terms(0.5 * np.pi * t[inside], r[inside], 5) if inside.sum() >= 20 else None
 
 
@@ -33,7 +31,7 @@ def radial_lens(above: list[float], below: list[float], radius: float) -> tuple[
     r = np.linspace(0.0, np.tan(np.radians(75.0)), 401)[1:]
     even = r[:, None] ** np.array([2, 4, 6])
     distorted = r * (1 + even @ np.array(above)) / (1 + even @ np.array(below))
-    inside = _within(distorted, radius * MARGIN)
+    inside = _within(distorted, radius)
     k1, k2, k3 = _odd_terms(r[inside], distorted[inside] - r[inside], 4, start=3)[:3]
     return float(k1), float(k2), float(k3)
 
