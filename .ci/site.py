@@ -1,4 +1,4 @@
-"""What MkDocs needs beside docs/: pages from elsewhere, links that leave the site, equations without scripts."""
+"""What MkDocs needs beside docs/: pages from elsewhere, outer links, equations without scripts, accessibility."""
 
 import html
 import re
@@ -63,3 +63,8 @@ def on_page_content(content, **_):
         return f'<div style="display: flex; align-items: center"><div style="flex: 1">{math}</div>({tag[1]})</div>'
 
     return re.sub(r'<(div|span) class="arithmatex">(.*?)</\1>', drawn, content, flags=re.S)
+
+
+def on_post_page(output, **_):
+    """Name the search dialog for screen readers."""
+    return output.replace('component="search" role="dialog"', 'component="search" role="dialog" aria-label="Search"')
