@@ -36,7 +36,8 @@ def on_files(files, config):
 def on_page_markdown(markdown, page, config, files):
     """Turn links as they work in the repository into those of the site."""
     own = page.file.src_uri
-    page.meta["search"] = {"boost": 0.5 if own.startswith(("lab/", "method/", "CHANGELOG")) else 1}
+    behind = own.startswith(("lab/", "method/", "CHANGELOG", "architecture", "scene-keys"))
+    page.meta["search"] = {"boost": 0.5 if behind else 2 if own in {"reading-the-report.md", "settings.md"} else 1}
     folder = dirname(PLACES.get(own, join("docs", own)))
     pages = {name: page for page, name in PLACES.items()}
 
