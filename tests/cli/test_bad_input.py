@@ -59,7 +59,7 @@ def test_an_empty_folder(run: Run, tmp_path: Path) -> None:
 
 def test_a_file(run: Run, tmp_path: Path) -> None:
     (tmp_path / "flight.zip").write_text("")
-    refused(run(tmp_path / "flight.zip"), "flight.zip: a file; give")
+    refused(run(tmp_path / "flight.zip"), "flight.zip: not a file that can be read; give")
 
 
 def test_photos_without_gps(run: Run, tmp_path: Path) -> None:
