@@ -27,9 +27,11 @@ PLAIN = {  # words of pydantic, in this order
     "greater than or equal to": "at least",
     "less than or equal to": "at most",
     "greater than": "more than",
-    "a valid number, unable to parse string as a number": "a number",
-    "a valid integer, unable to parse string as an integer": "a whole number",
-    "a valid integer, got a number with a fractional part": "a whole number",
+    ", unable to parse string as a number": "",
+    ", unable to parse string as an integer": "",
+    ", got a number with a fractional part": "",
+    "a valid number": "a number",
+    "a valid integer": "a whole number",
     "a valid boolean, unable to interpret input": "true or false",
 }
 

@@ -605,7 +605,7 @@ def test_rasters_that_cannot_be_a_world_are_refused_in_one_line(tmp_path, hill):
         ({"ground": {"layers": [{"thing": "trees", "radius": [1.6, "1e200"]}]}}, "radius: must be at most 200"),
         ({"ground": {"layers": [{"thing": "pads", "size": ["1e5", 8.5]}]}}, "size.1: must be at most"),
         ({"ground": {"layers": [{"thing": "road", "path": [[0, 0]]}]}}, "needs two places or more"),
-        ({"ground": {"layers": [{"thing": "road", "path": [[0, 0], [1e9, 0]]}]}}, "less than or equal to 20000"),
+        ({"ground": {"layers": [{"thing": "road", "path": [[0, 0], [1e9, 0]]}]}}, "at most 20000"),
         ({"ground": {"layers": [{"thing": "road", "path": [[0, 0], [2e4, 0]] * 6}]}}, "is longer than 200 km"),
         ({"light": {"elevation_deg": -5}}, "my.yaml: light.elevation_deg: must be more than 3, not -5"),
     ],
