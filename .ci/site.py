@@ -1,4 +1,4 @@
-"""What MkDocs needs beside docs/: pages from elsewhere, links that leave the site, equations without scripts."""
+"""What MkDocs needs beside docs/: pages from elsewhere, outer links, equations without scripts, accessibility."""
 
 import html
 import re
@@ -36,7 +36,8 @@ def on_files(files, config):
 def on_page_markdown(markdown, page, config, files):
     """Turn links as they work in the repository into those of the site."""
     own = page.file.src_uri
-    page.meta["search"] = {"boost": 0.5 if own.startswith(("lab/", "method/", "CHANGELOG")) else 1}
+    behind = own.startswith(("lab/", "method/", "CHANGELOG", "architecture", "scene-keys"))
+    page.meta["search"] = {"boost": 0.5 if behind else 2 if own in {"reading-the-report.md", "settings.md"} else 1}
     folder = dirname(PLACES.get(own, join("docs", own)))
     pages = {name: page for page, name in PLACES.items()}
 
@@ -63,3 +64,8 @@ def on_page_content(content, **_):
         return f'<div style="display: flex; align-items: center"><div style="flex: 1">{math}</div>({tag[1]})</div>'
 
     return re.sub(r'<(div|span) class="arithmatex">(.*?)</\1>', drawn, content, flags=re.S)
+
+
+def on_post_page(output, **_):
+    """Name the search dialog for screen readers."""
+    return output.replace('component="search" role="dialog"', 'component="search" role="dialog" aria-label="Search"')

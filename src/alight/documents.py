@@ -21,6 +21,19 @@ LARGEST_JSON = 64_000_000  # bytes
 DEEPEST = 40  # levels of nested mappings and lists
 DEEP = f"nested more than {DEEPEST} deep; write it flat"
 MOST_VALUES = 50_000  # values in a YAML document; an alias counts each time it is used
+PLAIN = {  # words of pydantic, in this order
+    "Value error, ": "",
+    "Input should be ": "must be ",
+    "greater than or equal to": "at least",
+    "less than or equal to": "at most",
+    "greater than": "more than",
+    ", unable to parse string as a number": "",
+    ", unable to parse string as an integer": "",
+    ", got a number with a fractional part": "",
+    "a valid number": "a number",
+    "a valid integer": "a whole number",
+    "a valid boolean, unable to interpret input": "true or false",
+}
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -118,7 +131,7 @@ def parse_yaml(text: str) -> Any:
     except yaml.YAMLError as e:
         mark = getattr(e, "problem_mark", None)
         where = f" at line {mark.line + 1}" if mark is not None else ""
-        why = " ".join(str(getattr(e, "problem", None) or e).split())[:300]
+        why = " ".join(str(getattr(e, "problem", None) or e).split())[:300].replace("'<stream end>'", "the end")
         raise DocumentError(f"not valid YAML{where}: {why}") from e
     except RecursionError as e:
         raise DocumentError(DEEP) from e
@@ -157,6 +170,13 @@ def validated(kind: type[Model], tree: Any) -> Model:
         first = e.errors(include_url=False)[0]
         key = ".".join(str(part)[:40] for part in first["loc"])
         raise DocumentError(f"{key or 'it'} is damaged ({first['msg'].lower()})") from e
+
+
+def plain_words(message: str) -> str:
+    """Return the message of a failed validation in plain words, such as "must be at least 1"."""
+    for theirs, ours in PLAIN.items():
+        message = message.replace(theirs, ours)
+    return message
 
 
 def _check(tree: Any, most: float) -> None:

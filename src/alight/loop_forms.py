@@ -52,8 +52,8 @@ def compile_loops(
     tasks = [Task(name, compile_loop, (name, forms)) for name, forms in loops.items()]
     cores = cores or compiled.most_threads()
     jobs: Jobs = InProcesses(cores) if cores > 1 else InTurn()
-    progress("loops", 0.0)
+    progress("compile", 0.0)
     for number, _ in enumerate(jobs.run(tasks, any_order=True), 1):
-        progress("loops", number / len(tasks))
+        progress("compile", number / len(tasks))
     for use in cold:
         compiled.mark_warm(use)

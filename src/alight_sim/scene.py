@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from alight.arrays import F64
-from alight.documents import DocumentError, parse_yaml, read_text
+from alight.documents import DocumentError, parse_yaml, plain_words, read_text
 from alight.geometry import LocalFrame
 from alight.records import InputError
 from alight_sim.exposure import Imaging
@@ -152,7 +152,7 @@ def explain(error: ValidationError) -> str:
         return f"{key}: there is no such key; {_known(first['loc'])}{more}"
     if first["type"].startswith("union_tag"):
         return f"{key}: {_tag(first)}{more}"
-    message = first["msg"].removeprefix("Value error, ")
+    message = plain_words(first["msg"])
     return f"{key}: {message[0].lower()}{message[1:]}, not {first.get('input')!r:.60}{more}"
 
 

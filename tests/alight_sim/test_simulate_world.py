@@ -591,9 +591,9 @@ def test_rasters_that_cannot_be_a_world_are_refused_in_one_line(tmp_path, hill):
     [
         ({"groud": {}}, "my.yaml: groud: there is no such key; use one of: name, description"),
         ({"ground": {"cells": 1}}, "my.yaml: ground.cells: there is no such key; use one of: size, cell"),
-        ({"ground": {"cell": 3}}, "my.yaml: ground.cell: input should be less than or equal to 0.2, not 3"),
-        ({"ground": {"cell": "x"}}, "my.yaml: ground.cell: input should be a valid number"),
-        ({"ground": {"cover": "gras"}}, "ground.cover: input should be 'bare', 'short_grass'"),
+        ({"ground": {"cell": 3}}, "my.yaml: ground.cell: must be at most 0.2, not 3"),
+        ({"ground": {"cell": "x"}}, "my.yaml: ground.cell: must be a number"),
+        ({"ground": {"cover": "gras"}}, "ground.cover: must be 'bare', 'short_grass'"),
         ({"ground": {"look": "gras"}}, "ground.look: must be one of: by_class, meadow"),
         ({"ground": {"layers": [{"thing": "rokcs"}]}}, "ground.layers.1: no thing is called 'rokcs'; use one of: rou"),
         ({"ground": {"layers": [{"per_hectare": 1}]}}, "ground.layers.1: a layer needs `thing: name`; use one of"),
@@ -603,11 +603,11 @@ def test_rasters_that_cannot_be_a_world_are_refused_in_one_line(tmp_path, hill):
         ),
         ({"ground": {"layers": [{"thing": "rocks", "radius": [3, 1]}]}}, "must be one number or [smallest, largest]"),
         ({"ground": {"layers": [{"thing": "trees", "radius": [1.6, "1e200"]}]}}, "radius: must be at most 200"),
-        ({"ground": {"layers": [{"thing": "pads", "size": ["1e5", 8.5]}]}}, "size.1: input should be less than or eq"),
+        ({"ground": {"layers": [{"thing": "pads", "size": ["1e5", 8.5]}]}}, "size.1: must be at most"),
         ({"ground": {"layers": [{"thing": "road", "path": [[0, 0]]}]}}, "needs two places or more"),
-        ({"ground": {"layers": [{"thing": "road", "path": [[0, 0], [1e9, 0]]}]}}, "less than or equal to 20000"),
+        ({"ground": {"layers": [{"thing": "road", "path": [[0, 0], [1e9, 0]]}]}}, "at most 20000"),
         ({"ground": {"layers": [{"thing": "road", "path": [[0, 0], [2e4, 0]] * 6}]}}, "is longer than 200 km"),
-        ({"light": {"elevation_deg": -5}}, "my.yaml: light.elevation_deg: input should be greater than 3, not -5"),
+        ({"light": {"elevation_deg": -5}}, "my.yaml: light.elevation_deg: must be more than 3, not -5"),
     ],
 )
 def test_mistakes_in_a_scene_are_named_in_one_line(tree, message):

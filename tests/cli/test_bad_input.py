@@ -50,7 +50,9 @@ def test_an_empty_folder(refused: Refused, tmp_path: Path) -> None:
 
 def test_a_file(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "flight.zip").write_text("")
-    refused(["run", tmp_path / "flight.zip", "--out", tmp_path / "out"], "flight.zip: a file; give")
+    refused(
+        ["run", tmp_path / "flight.zip", "--out", tmp_path / "out"], "flight.zip: not a file that can be read; give"
+    )
 
 
 def test_photos_without_gps(refused: Refused, tmp_path: Path) -> None:

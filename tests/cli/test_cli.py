@@ -45,10 +45,10 @@ def alight(*arguments: str | Path, **more: object) -> subprocess.CompletedProces
         (["run"], "Missing argument 'INPUT'; see 'alight run --help'"),
         (["run", "nowhere"], "Missing option '--out'"),
         (["run", "nowhere", "--out", "out", "--speed", "9"], "No such option: --speed"),
-        (["run", "nowhere", "--out", "out"], "nowhere: no such folder; give a flight log"),
+        (["run", "nowhere", "--out", "out"], "nowhere: no such file or folder; give a flight log"),
         (["land"], "No such command 'land'"),
         (["--nope"], "No such option: --nope"),
-        (["demo", "--seed", "one"], "valid integer"),
+        (["demo", "--seed", "one"], "a whole number"),
         (["demo", "--seed", "-1"], "--seed"),
         (["evaluate", "nowhere"], "Missing option '--truth'"),
         (["evaluate", "nowhere", "--truth", "nowhere"], "nowhere: no finished run here"),
@@ -94,9 +94,9 @@ def test_a_mistake_is_one_whole_line_without_a_traceback_in_a_process(tmp_path: 
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr == (
-        f"error: {deep}: no such folder; give a flight log (a folder with mav0/), a recording (.mcap), a ROS bag "
-        "(.bag, .db3, .mcap), a folder of photos, frames with an autopilot's log (.ulg, .bin, .tlog), or a video (.mp4)"
-        " with a .srt or .gpx\n"
+        f"error: {deep}: no such file or folder; give a flight log (a folder with mav0/), a recording (.mcap), a "
+        "ROS bag (.bag, .db3, .mcap), a folder of photos, frames with an autopilot's log (.ulg, .bin, .tlog), or a "
+        "video (.mp4) with a .srt or .gpx\n"
     )
 
 
@@ -393,6 +393,23 @@ def test_output_that_is_redirected_is_not_silent_for_minutes(capsys: pytest.Capt
         "heights: 0% after 18 s; about 54 s left",
         "heights: 50% after 40 s; about 24 s left",
         "heights: 100% after 80 s; about 0 s left",
+    ]
+
+
+def test_the_time_left_counts_neither_the_compiler_nor_the_first_moments(capsys: pytest.CaptureFixture[str]) -> None:
+    now = [0.0]
+    report = ProgressLines(15.0, lambda: now[0])
+    run = with_whole(report, {"reading": 1.0, "heights": 99.0})
+    for seconds, told, stage, share in (
+        (0, report, "compile", 0.0), (100, report, "compile", 1.0),
+        (101, run, "reading", 1.0), (120, run, "heights", 0.2),
+    ):  # fmt: skip
+        now[0] = float(seconds)
+        told(stage, share)
+    assert capsys.readouterr().err.splitlines() == [
+        "compile: 100% after 100 s",
+        "reading: 100% after 101 s",
+        "heights: 20% after 120 s; about 76 s left",
     ]
 
 

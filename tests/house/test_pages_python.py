@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import alight
 from alight_sim import SimulatedFlight
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -119,3 +120,20 @@ def test_the_flight_log_of_the_page_is_read_without_a_warning(reader: Callable[[
     names = reader("your-data").read()
     assert names["source"].length == len(names["frames"]) == 9
     assert names["source"].warnings == []
+
+
+def test_the_example_of_the_readme_reads_a_result(
+    reader: Callable[[str], Reader], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = reader("python").read()["result"]
+    monkeypatch.setattr(alight, "run", lambda source, lander: result)
+    readme = (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    exec(compile(readme.split("```python\n")[1].split("```")[0], "README.md", "exec"), {})
+    assert "P(safe)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("imported", ["SteeredFlight", "SceneTruth"])
+def test_an_example_of_the_simulator_runs(imported: str) -> None:
+    """A landing in closed loop, and ground of one's own; the longer examples only have their imports checked."""
+    (code,) = (code for _, code in blocks("simulator") if re.search(rf"^from .*\b{imported}\b", code, re.M))
+    exec(compile(code, "docs/simulator.md", "exec"), {"__name__": "simulator"})

@@ -149,7 +149,8 @@ def test_a_missing_extra_is_named_in_one_line(
     for k in range(3):
         (tmp_path / f"b{k}.{suffix}").write_bytes(b"")
     with pytest.raises(
-        InputError, match=rf"none of the 3 pictures .* is not installed; mend it with: pip install 'alight\[{extra}\]'"
+        InputError,
+        match=rf"pictures can be read .3 found.; .* is not installed; mend it with: pip install 'alight\[{extra}\]'",
     ):
         open_source(tmp_path)
     d.write_photos(tmp_path, 2)

@@ -205,11 +205,11 @@ def test_a_value_may_have_its_unit(assignment: str, value: object) -> None:
             "motion.given_attitude_sigma=3",
             "motion.given_attitude_sigma: 3 may be degrees or radians; write 3deg or 3rad",
         ),
-        ("lander.max_slope=95deg", "lander.max_slope: Input should be less than or equal to 90deg (got 95deg)"),
+        ("lander.max_slope=95deg", "lander.max_slope: must be at most 90deg (got 95deg)"),
         ("lander.radius=5kg", "lander.radius: give it in m, cm, mm or km (got '5kg')"),
         ("route.wind=[1m/s, 2s]", "route.wind: give it in m/s, cm/s or km/h (got ['1m/s', '2s'])"),
-        ("lander.radius=-30cm", "lander.radius: Input should be greater than or equal to 0.001 (got -0.3)"),
-        ("sites.count=3m", "sites.count: Input should be a valid integer"),
+        ("lander.radius=-30cm", "lander.radius: must be at least 0.001 (got -0.3)"),
+        ("sites.count=3m", "sites.count: must be a whole number"),
     ],
 )
 def test_a_unit_that_does_not_fit_is_refused(assignment: str, line: str) -> None:
@@ -368,3 +368,8 @@ def test_the_page_of_settings_has_every_key() -> None:
 def test_the_effects_are_of_constants_that_there_are() -> None:
     keys = {key.removeprefix("tuning.") for key in all_keys() if key.startswith("tuning.")}
     assert not effects().keys() - keys
+
+
+def test_a_key_without_its_group_is_completed() -> None:
+    with pytest.raises(ValueError, match=r"^radius: unknown key, did you mean lander\.radius\?"):
+        load_settings("", ["radius=1"])

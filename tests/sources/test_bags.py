@@ -456,7 +456,7 @@ def two(path: Path) -> Path:
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
-        (text, "a file; give a flight log"), (noise, "no message can be read ("), (huge, "no message can be read ("),
+        (text, "not a file that can"), (noise, "no message can be read ("), (huge, "no message can be read ("),
         (two, "holds 2 bags, not the parts _0, _1, ... of one; name one of them, such as "),
     ],
 )  # fmt: skip

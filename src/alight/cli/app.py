@@ -73,8 +73,11 @@ def _mistake(error: Exception, words: Sequence[str]) -> str:
     if isinstance(error, MemoryError):
         return f"not enough memory; {_smaller(words)}"
     if isinstance(error, UsageError):
+        from alight.documents import plain_words
+
         where = getattr(getattr(error, "ctx", None), "command_path", "alight")
-        return f"{error.format_message().rstrip('.')}; see '{where} --help'"  # type: ignore[attr-defined]
+        line = plain_words(error.format_message().rstrip(".").removeprefix("Invalid value: "))  # type: ignore[attr-defined]
+        return f"{line}; see '{where} --help'"
     from alight.records import AlightError
 
     return str(error) if isinstance(error, AlightError) else ""

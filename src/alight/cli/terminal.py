@@ -80,8 +80,9 @@ class ProgressLines:
 
     def __init__(self, every: float = 15.0, clock: Callable[[], float] = time.monotonic) -> None:
         self._every, self._clock = every, clock
-        self._began = self._printed = clock()
-        self._stage, self._whole = "", 0.0
+        self._began = self._printed = self._whole_began = clock()
+        self._stage = ""
+        self._whole: float | None = None
 
     def __call__(self, stage: str, share: float) -> None:
         """Print a line if it is due."""
@@ -91,11 +92,15 @@ class ProgressLines:
         if stage == WHOLE:
             self._whole = share
             return
+        if self._whole is None:  # loops are compiled first, which is no part of the whole
+            self._whole_began = now
         begins, self._stage = stage != self._stage, stage
         if now - self._began < self._every or not (begins or now - self._printed >= self._every):
             return
         self._printed, elapsed = now, now - self._began
-        left = f"; about {elapsed * (1 - self._whole) / self._whole:.0f} s left" if self._whole else ""
+        left = ""
+        if self._whole and self._whole > 0.05:  # before, the estimate is wild
+            left = f"; about {(now - self._whole_began) * (1 - self._whole) / self._whole:.0f} s left"
         print_stderr(f"{stage}: {share:.0%} after {elapsed:.0f} s{left}")
 
 

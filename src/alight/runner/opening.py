@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from alight.outputs import is_finished
 from alight.records import InputError
 from alight.settings import Settings
 from alight.sources import Source
@@ -73,7 +74,7 @@ def _open_bag(path: Path, settings: Settings, topics: Mapping[str, str]) -> Sour
 
 def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | None) -> Source:
     if not path.exists():
-        raise InputError(f"{path}: no such folder; give {LOOKED_FOR}")
+        raise InputError(f"{path}: no such file or folder; give {LOOKED_FOR}")
     if path.is_file() and path.suffix.lower() == ".mcap":
         from alight.sources.recording import Recording
 
@@ -83,7 +84,7 @@ def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | Non
 
         return open_video(path, settings, lambda own: _telemetry_of_log(path, settings, own))
     if not path.is_dir():
-        raise InputError(f"{path}: a file; give {LOOKED_FOR}")
+        raise InputError(f"{path}: not a file that can be read; give {LOOKED_FOR}")
     root = path.resolve()
     if (root / "mav0").is_dir() or root.name == "mav0" or (root / "cam0" / "data.csv").is_file():
         from alight.sources.flight_log import FlightLog
@@ -98,6 +99,10 @@ def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | Non
         from alight.sources.frame_folder import FrameFolder
 
         return _with_log(FrameFolder(root, settings), log, settings)
+    if is_finished(root):
+        raise InputError(
+            f"{path}: holds the results of a run; give what it was made from, or see 'alight judge --help'"
+        )
     from alight.photos.reading.photo_selection import find_photos
 
     if (found := find_photos(root)).files:

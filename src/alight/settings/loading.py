@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from alight.documents import DocumentError, parse_yaml
+from alight.documents import DocumentError, parse_yaml, plain_words
 from alight.settings.units import is_ambiguous, unit_of
 from alight.settings.whole import Settings
 
@@ -124,11 +124,12 @@ def _explain(error: ValidationError) -> str:
     for e in error.errors():
         key = ".".join(str(k) for k in e["loc"])
         if e["type"] != "extra_forbidden":
+            message = plain_words(e["msg"])
             got, limit, known = e["input"], [*e.get("ctx", {}).values()], all_keys().get(key)
             if known is not None and unit_of(known) == "rad" and isinstance(got, float):
-                lines.append(f"{key}: {e['msg'].replace(str(limit[0]), _degrees(limit[0]))} (got {_degrees(got)})")
+                lines.append(f"{key}: {message.replace(str(limit[0]), _degrees(limit[0]))} (got {_degrees(got)})")
                 continue
-            lines.append(f"{key}: {e['msg']} (got {got!r})")
+            lines.append(f"{key}: {message} (got {got!r})")
         else:
             like = nearest(key)
             lines.append(f"{key}: unknown key" + (f", did you mean {like}?" if like else ""))
@@ -159,6 +160,6 @@ def user_keys() -> dict[str, FieldInfo]:
 def nearest(key: str) -> str | None:
     """Return the known key or group that is most similar to an unknown key; None if there is no similar one."""
     names = dict.fromkeys(name for k in all_keys() for name in (k, k.rpartition(".")[0]))
-    found = get_close_matches(key, names, n=3, cutoff=0.75)
+    found = get_close_matches(key, names, n=3, cutoff=0.75) or [k for k in names if k.endswith(f".{key}")][:1]
     last = key.rpartition(".")[2]
     return max(found, key=lambda name: SequenceMatcher(None, name.rpartition(".")[2], last).ratio(), default=None)

@@ -263,7 +263,7 @@ def _connector(name: str) -> Callable[[], Port]:
     if kind == "serial" and is_complete:
         return lambda: _serial_port(where, int(number))
     if kind not in ("udp", "udpin", "udpout", "tcp") or not is_complete or not int(number) < 65536:
-        raise InputError(f"{name}: no link; write {NAMES}")
+        raise InputError(f"{name}: not a link; write {NAMES}")
     if kind == "tcp":
         return _TcpServer(where, int(number)).connect
     return lambda: _UdpPort(where, int(number), listen=kind != "udpout")

@@ -213,7 +213,7 @@ class Photos(Source):
             )
         if not self._tags:
             why = lacking.warning or "copy them again"
-            raise InputError(f"{files[0].parent}: none of the {len(files)} pictures can be read; {why}")
+            raise InputError(f"{files[0].parent}: none of the pictures can be read ({len(files)} found); {why}")
         return list(self._tags.values())
 
     def _of_cameras(self, photos: list[PhotoTags], settings: Settings) -> list[PhotoTags]:
