@@ -111,7 +111,7 @@ def check(o: CheckOptions) -> None:
         print_line(f"LOG  {line}")
     with progress_bar() as report:
         found = check_opened(recording, chosen, o.seconds, o.start, lambda share: report("checking", share))
-    records: list[dict[str, Any]] = [asdict(r) for r in found]
+    records: list[dict[str, Any]] = [{k: v for k, v in asdict(r).items() if k != "lasts"} for r in found]
     if photos := [PhotoRow(p, None) for p in recording.photos]:
         records[-1]["photos"] = [row.as_json() for row in photos]
     for row in photos:

@@ -36,7 +36,7 @@ from alight_sim.oracle import OracleLander
 from alight_sim.scene import Scene
 from alight_sim.scene_world import SceneWorld
 from alight_sim.steered import SteeredFlight
-from alight_sim.world import World
+from alight_sim.world import START, World
 
 log = logging.getLogger(__name__)
 
@@ -99,9 +99,10 @@ def checked_vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
         world = lit_world(campaign_world(c.scene).build(c.world_seed), c.light)
     nav = world.sensors.nav.model_copy(update={"position": c.gps_sigma, "position_tau": c.gps_tau})
     east, north, up = world.start
+    higher = max(0.0, settings.executive.search_height - START[2])
     vehicle = SteeredFlight(
-        world, c.flight_seed, start=(east, north, max(up, settings.executive.search_height)), heading=c.heading,
-        wind=(*c.wind, 0.0), gusts=c.gusts, nav=nav,
+        world, c.flight_seed, start=(east, north, up + higher), heading=c.heading, wind=(*c.wind, 0.0), gusts=c.gusts,
+        nav=nav,
         radius=OracleLander.of(settings.lander.model_dump()).reach,
         limits=PX4_CONTROLLER if c.firmware == "px4" else None,
     )  # fmt: skip
