@@ -16,7 +16,7 @@ def output_error(path: Path, error: OSError) -> OutputError:
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return OutputError(f"{path}: the disk is full; free some space or {ANOTHER}")
     if not path.parent.is_dir():
-        return OutputError(f"{path}: there is no folder {path.parent}; make it first")
+        return OutputError(f"{path}: cannot be written, as there is no folder {path.parent}; make it first")
     if isinstance(error, PermissionError) or error.errno == errno.EROFS:
         return OutputError(f"{path}: no permission to write; {ANOTHER}")
     return OutputError(f"{path}: cannot be written ({error.strerror or error}); {ANOTHER}")

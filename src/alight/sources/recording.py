@@ -207,7 +207,7 @@ class Recording(Source):
         """Yield the head and every message; if the file ends early, warn and stop."""
         early = "the recording ends early, as after a loss of power: what came before it is used"
         warn = partial(self.findings.warn, early)
-        yield from up_to_damage(self._own(), self._path, "neither a recording of Alight nor a ROS bag (MCAP)", warn)
+        yield from up_to_damage(self._own(), self._path, "no recording of Alight and no ROS bag (MCAP)", warn)
 
     def _own(self) -> Iterator[RawMessage | Metadata]:
         with self._path.open("rb") as file:
