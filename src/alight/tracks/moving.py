@@ -1,4 +1,4 @@
-"""People and cars that move: differences between levelled pictures that no height explains (docs/method/executive.md).
+"""People and cars that move: differences between levelled pictures that no height explains (docs/method/third-parties.md, G23).
 
 A levelled picture is what a camera that looks straight down from the same place would see. Between two of them, level
 ground moves by a scale and a shift, and what stands above it by more, depending on its height alone. So each pixel of
