@@ -214,7 +214,7 @@ class MovingWatch:
         now = LevelPicture.of(view, ground)
         if now.depth <= 0:
             return ()
-        earlier, latest = [], view.t_ns - APART_NS
+        earlier, latest = list[LevelPicture](), view.t_ns - APART_NS
         for p in reversed(self._shown):
             if p.view.t_ns <= latest and len(earlier) < 2:
                 earlier.append(p)

@@ -148,7 +148,7 @@ class Happenings:
         """Add up how long each body is in view while the vehicle is high enough to stop."""
         v, seconds, self._t = self._vehicle, t - self._t, t
         east, north, up = (float(c) for c in v.true_pose.translation)
-        if v.bodies and up - v.standing - v.world.height_at(east, north) > STOPPABLE:
+        if v.bodies and not v.contacts and up - v.standing - v.world.height_at(east, north) > STOPPABLE:
             for k, body in enumerate(v.bodies):
                 middle = body.place_at(np.array([v.seconds])) + np.array([0.0, 0.0, 0.5 * body.size[2]])
                 self._in_view[k] += seconds * any(_shows(cam, v, middle) for cam in v.true_rig.cameras)
