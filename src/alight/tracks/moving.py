@@ -29,7 +29,7 @@ LASTS_NS = 600_000_000  # time for which a trail is kept without a new patch
 PLANES, STEP_PX = 24, 2.0  # most planes of a comparison; pixels between two of them
 TALL = 0.6  # share of the camera's height up to which things may stand
 LIGHT = 0.1  # largest change of the log brightness between two pictures that a cloud's shadow makes
-DIFFERENT = 4.0  # times the usual difference of two pictures
+DIFFERENT = (1.5, 2.5)  # mean over 5 x 5 pixels, in usual differences, on quiet ground and where all is restless
 FASTEST = 12.0  # m/s, of a person or car
 ENOUGH = 60  # pixels of all patches of a trail of three; five times as many of one of two, ten times of a single one
 FOOT = 0.02  # m^2, of the smallest patch that counts from low down
@@ -105,7 +105,7 @@ class Unexplained(NamedTuple):
 
 def unexplained(now: LevelPicture, earlier: Sequence[LevelPicture]) -> Unexplained | None:
     """Compare a picture with earlier ones at all heights; None: they are too far apart."""
-    least, seen, usual = np.full((SIDE, SIDE), np.inf, np.float32), np.isfinite(now.grey), 1.0
+    least, seen, usual = np.full((SIDE, SIDE), np.inf, np.float32), np.isfinite(now.grey), 2.0
     for then in earlier:
         if (planes := planes_between(now, then)) is None:
             return None
@@ -250,7 +250,9 @@ class MovingWatch:
 
 def _patches(now: LevelPicture, differences: F32) -> list[_Patch]:
     """Return the largest patches of pixels that differ, the largest first."""
-    differs = (differences > DIFFERENT).astype(np.uint8)
+    near = cv2.blur(np.minimum(differences, 8.0), (5, 5))
+    around = cv2.blur(near, (SIDE // 6 | 1, SIDE // 6 | 1))  # plants that sway, edges of shadows
+    differs = (near > np.minimum(DIFFERENT[0] + 4 * around, DIFFERENT[1])).astype(np.uint8)
     _, _, stats, middles = cv2.connectedComponentsWithStats(differs, connectivity=8)
     sizes, cell, out = stats[1:, cv2.CC_STAT_AREA], now.depth / now.focal, list[_Patch]()
     for k in np.argsort(-sizes, kind="stable")[:16]:
