@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -37,6 +38,7 @@ from alight.trials.campaign.run import Campaign, again, continued, fly_campaign,
 from alight.trials.campaign.worlds import scenes_of
 from alight.trials.landing import Landing
 from alight_sim.flight import START_NS
+from alight_sim.point_mass import Wanted
 from alight_sim.steered import SteeredFlight, TrueContact
 
 S, E = FlightState, FlightEvent
@@ -209,18 +211,24 @@ def test_every_fault_happens_once_at_its_state(what: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("what", ["car", "person"])
-def test_what_comes_stands_there_while_a_landing_can_be_broken_off(what: str, tmp_path: Path) -> None:
-    numbers = {"direction": 1.0, "from": 30.0, "speed": 7.0}
+@pytest.mark.parametrize(("height", "seconds", "touched"), [
+    (5.5, 12, "could have been stopped"), (0.8, 12, "could not be stopped"), (5.5, 0, None),
+])  # fmt: skip
+def test_whoever_comes_at_any_height_is_touched_where_the_landing_goes_on(
+    what: str, height: float, seconds: int, touched: str | None, tmp_path: Path
+) -> None:
+    numbers = {"direction": 1.0, "from": 3.0, "speed": 2.0}
     fault = FaultRecord(what=what, after=0.0, state="commit", numbers=numbers)
-    high, low = (SteeredFlight(scene(tmp_path), size=(64, 48), stereo=False, start=(0.0, 0.0, h)) for h in (5.5, 1.5))
-    happenings = [Happenings(v, (fault,)) for v in (high, low)]
-    for h in happenings:
-        h(moment(1.0, S.COMMIT))
-    (body,) = high.bodies
+    vehicle = SteeredFlight(scene(tmp_path), size=(64, 48), stereo=False, start=(0.0, 0.0, height), radius=0.4)
+    happenings, place = Happenings(vehicle, (fault,)), vehicle.true_pose.translation
+    happenings(moment(1.0, S.COMMIT))
+    (body,) = vehicle.bodies
     assert body.goal == pytest.approx((0.0, 0.0), abs=0.01)
-    assert 1.0 < body.arrives - high.seconds < 5.5 - 2.5 + 0.4  # the middle of the vehicle is above its feet
-    assert not low.bodies  # too low: nothing could be done
-    assert happenings[1].faults[0].happened is None
+    assert math.dist(body.start, body.goal) == pytest.approx(3.0, abs=0.01)
+    for k in range(20 * seconds):  # it hovers until the body stands below it, then comes down
+        vehicle.step(0.05, Wanted(place - [0.0, 0.0, 0.05 * k if k > 80 else 0.0], np.zeros(3)))
+        happenings(moment(1.0 + 0.05 * k, S.COMMIT))
+    assert happenings.touched(0.4) == touched
 
 
 # -- the folder

@@ -306,6 +306,9 @@ class CampaignOptions(options.SettingsOptions):
     link_faults: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of the landings with a takeover, a lost link, refused modes.")
     ] = 0.0
+    people: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of the landings in which a person or car comes to the site.")
+    ] = 0.0
     autopilot: options.Firmware = "ardupilot"
     odometry: Annotated[
         bool,
@@ -329,13 +332,14 @@ def campaign(o: CampaignOptions) -> None:
         raise InputError(f"--world {wrong[0]}: {FORM}")
     if named := [*(o.scenes or []), *(o.worlds or [])]:
         wanted = runner.wanted_landings(o.out, o.landings)
-        planned = runner.Campaign(named, wanted, o.seed or 0, chosen, o.link_faults, o.autopilot, o.odometry)
+        planned = runner.Campaign(named, wanted, o.seed or 0, chosen, o.link_faults, o.autopilot, o.odometry, o.people)
     elif (
         o.settings
         or o.assign
         or looks
         or o.seed is not None
         or o.link_faults
+        or o.people
         or o.odometry
         or o.autopilot != "ardupilot"
     ):

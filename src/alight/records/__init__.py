@@ -35,7 +35,16 @@ from alight.records.landing import (
     p_safe_text,
 )
 from alight.records.map_frame import MapFrame
-from alight.records.motion import GpsState, KeyframePosterior, Motion, MotionState, Odometry, RefinedMotions, View
+from alight.records.motion import (
+    GpsState,
+    KeyframePosterior,
+    Motion,
+    MotionState,
+    Mover,
+    Odometry,
+    RefinedMotions,
+    View,
+)
 from alight.records.photos import PHOTO_COLUMNS, PhotoFacts, PhotoOutcome, PhotoRow
 from alight.records.result import Decision, RunResult
 from alight.records.surface import (

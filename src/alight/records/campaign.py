@@ -14,6 +14,7 @@ from alight.records.telemetry import FirmwareName
 Outcome = Literal[
     "landed safely", "landed unsafely", "rightly refused", "wrongly refused", "handed over", "failed"
 ]  # fmt: skip
+Touched = Literal["could have been stopped", "could not be stopped"]  # seen for a second above 1 m, or not
 LOST = "WorkerLostError"  # prefix of errors of the machine, not of the landing
 OUTCOMES: tuple[Outcome, ...] = Outcome.__args__  # type: ignore[attr-defined]
 PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # the right outcomes
@@ -124,6 +125,7 @@ class LandingRecord(_Line):
     transitions: tuple[TransitionLine, ...] = ()
     touchdown: TouchdownLine | None = None  # the worst contact from above
     strike: StrikeLine | None = None
+    touched: Touched | None = None  # whether it touched a person or car that came; None: it did not
     safe_share: float | None = None  # safe share of the searched area, by the oracle with margin; only for a refusal
     seconds: float = 0.0  # duration of the flight
     found_after: float | None = None  # s until the first site was found
@@ -184,18 +186,19 @@ class CampaignHead(_Line):
     link_faults: float = Field(0.0, ge=0, le=1)  # share of the landings with a fault of the link or the autopilot
     firmware: FirmwareName = "ardupilot"  # of the simulated autopilot
     odometry: bool = False  # whether odometry is sent, and GPS fails in each landing
+    people: float = Field(0.0, ge=0, le=1)  # share of the landings with a person or car, instead of other faults
     sources: str = ""  # digest of the program; empty: unknown
     files: dict[str, str] = {}  # digests of scene files, their rasters, modules of worlds, the model of appearance
 
     @property
-    def _link(self) -> tuple[float, str, bool]:
-        return self.link_faults, self.firmware, self.odometry
+    def _link(self) -> tuple[float, str, bool, float]:
+        return self.link_faults, self.firmware, self.odometry, self.people
 
     def differing(self, other: CampaignHead) -> str | None:
         """Return the first difference from another campaign in words; None if both are the same campaign."""
         changed = [name for name in self.files if other.files.get(name, self.files[name]) != self.files[name]]
         link = f"a {self.firmware} autopilot, {'' if self.odometry else 'no '}odometry and a share of "
-        link += f"{self.link_faults:g} of link faults"
+        link += f"{self.link_faults:g} of link faults, {self.people:g} of people and cars"
         differences = {
             f"seed {self.seed}": self.seed != other.seed,
             f"the scenes {' '.join(self.scenes)}": self.scenes != other.scenes,

@@ -50,6 +50,15 @@ class Odometry:
 
 
 @dataclass(frozen=True, eq=False)
+class Mover:
+    """A person or car that moves on the ground, as one exposure shows it."""
+
+    place: F64  # (2,) metres east and north, in the map frame
+    velocity: F64  # (2,) m/s
+    reach: float  # metres from `place` to its edge, roughly
+
+
+@dataclass(frozen=True, eq=False)
 class Motion:
     """Poses and velocity of the vehicle and its cameras at one exposure, with covariance.
 
@@ -72,6 +81,7 @@ class Motion:
     )
     gain: F64 | None = None  # (3,) factor of the picture's colours that equalises all pictures
     odometry: Odometry | None = None  # None: not from the filter
+    movers: tuple[Mover, ...] = ()  # people and cars that move in its pictures
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,6 +32,11 @@ class Body:
     height_at: Height
 
     @property
+    def size(self) -> tuple[float, float, float]:
+        """Length, width and height, metres."""
+        return CAR if self.car else PERSON
+
+    @property
     def away(self) -> float:
         """Distance from the start to the goal, metres."""
         return math.dist(self.start, self.goal)

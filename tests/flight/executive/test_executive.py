@@ -24,7 +24,7 @@ from alight.flight.executive.places import KnownPlaces
 from alight.flight.executive.table import CROSSING, JUDGE_EVERY, TABLE
 from alight.flight.executive.ways import ClearWay, SearchLanes, square_spiral
 from alight.landing.route import Obstructions, way_below
-from alight.records import Flag, Hazard, MotionState, Sites, Terrain
+from alight.records import Flag, Hazard, MotionState, Mover, Sites, Terrain
 from alight.records.executive import FlightEvent, FlightState, MapVerdict, Order, Situation
 from alight.settings import Settings, settings_of_run
 from alight.settings.user import ExecutiveKeys
@@ -390,6 +390,38 @@ def test_degraded_motion_ends_a_landing_but_near_the_ground(height: float, holds
     f.change = weak
     f.fly(120.0)
     assert f.states.count(S.ABORT) == broken_off
+
+
+@pytest.mark.parametrize(
+    ("place", "velocity", "height", "stops"),
+    [
+        ((10.5, 5.0), (0.0, 0.0), 1.2, True),  # at the place
+        ((10.5, 5.0), (0.0, 0.0), 0.9, False),  # too late
+        ((14.0, 5.0), (-1.4, 0.0), 3.0, True),  # towards it
+        ((14.0, 5.0), (1.4, 0.0), 3.0, False),  # away from it
+        ((18.0, 5.0), (-1.4, 0.0), 1.2, False),  # the vehicle stands before
+        ((14.0, 10.0), (-1.4, 0.0), 3.0, False),  # past it
+    ],
+)  # fmt: skip
+def test_somebody_who_comes_to_the_place_stops_a_landing_at_once(
+    place: tuple[float, float], velocity: tuple[float, float], height: float, stops: bool
+) -> None:
+    f, seen = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings())), list[float]()
+
+    def come(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT and f.position[2] < height and (not seen or not stops):
+            seen.append(now.t)
+            return replace(now, movers=(Mover(np.array(place), np.array(velocity), 0.3),))
+        return now
+
+    f.change = come
+    f.fly(120.0)
+    assert seen
+    broken_off = [x for x in f.executive.diary.transitions if x.after is S.ABORT]
+    assert bool(broken_off) is stops
+    if stops:
+        assert broken_off[0].t == seen[0]
+        assert "somebody moves" in broken_off[0].reason
 
 
 def test_a_landing_makes_no_step_to_a_better_spot_beside_it() -> None:

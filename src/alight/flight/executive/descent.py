@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from statistics import median
 
 import numpy as np
 
 from alight.flight.executive.places import Opinion, Standing
-from alight.records import Site
+from alight.records import Mover, Site
 from alight.records.executive import Order, Situation
 from alight.settings import ExecutiveSettings, StageSettings
 
@@ -32,6 +33,7 @@ class Descent:
 
     def __init__(self, settings: StageSettings) -> None:
         self._keys, self._cruise = settings.executive, settings.route.cruise_speed
+        self._room = settings.lander.reach + settings.hazards.traffic_margin  # metres, from a person or car
         self.begin(0.0)
 
     def begin(self, t: float) -> None:
@@ -87,6 +89,20 @@ class Descent:
             and not is_too_low_to_abort(left, self._keys)
         )
         return f"no verdict for {silent:.1f} s" if late else ""
+
+    def must_stop(self, movers: Sequence[Mover], place: Site, left: float) -> bool:
+        """Whether people or cars that move come too near to the site `place` before the vehicle stands on it.
+
+        Their velocities are taken to stay. `left`: height above the site, metres; if it is too low, nothing stops it.
+        """
+        stops = self._keys.look_again and left >= self._keys.stop_height
+        return stops and any(self._is_reached_by(m, place, left) for m in movers)
+
+    def _is_reached_by(self, mover: Mover, place: Site, left: float) -> bool:
+        way, speed = mover.place - [place.east, place.north], float(np.linalg.norm(mover.velocity))
+        seconds = left / self._keys.landing_speed
+        nearest = float(np.clip(-(way @ mover.velocity) / max(speed**2, 1e-9), 0.0, seconds))  # s from now
+        return float(np.linalg.norm(way + nearest * mover.velocity)) < self._room + mover.reach
 
     def unfelt(self, t: float) -> str:
         """Return the reason if, at `t` s, no touchdown has been reported for too long on the last metres, else ""."""

@@ -142,6 +142,9 @@ class Executive:
             return None
         # without a position the autopilot soon lands by its own failsafe: a climb would only make its way down longer
         landing = self._landing
+        place, left = self.target, self._left
+        if landing is not None and place is not None and now.holds and landing.must_stop(now.movers, place, left):
+            return E.REFUSED, "somebody moves at the place, or towards it"
         if landing is not None and (is_too_low_to_abort(self._left, self._keys) or not now.holds):
             return (E.UNFELT, unfelt) if (unfelt := landing.unfelt(now.t)) else None
         if self._touched and self.state in (S.ABORT, S.HOLD):

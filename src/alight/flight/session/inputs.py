@@ -185,6 +185,7 @@ class LandingInputs:
             lands=reports.mode is FlightMode.LAND,
             steers=self._vehicle.firmware.takes_targets,
             offset=None if m is None or position is None else self._offset(m),
+            movers=() if m is None or position is None else m.movers,
         )
         return now, m if position is not None else None
 

@@ -6,6 +6,8 @@ from collections import deque
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from alight.motion import MotionFilter
 from alight.motion.ekf.filter import LEAST_EXPOSURES
 from alight.motion.ekf.keyframe_posterior import rigid_posterior
@@ -13,10 +15,10 @@ from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.imu_buffer import ImuBuffer
 from alight.pipeline.navigation import Navigation, Trajectory, sparse
 from alight.pipeline.timing import Progress
-from alight.records import Event, Frame, GpsState, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
+from alight.records import Event, Frame, GpsState, ImuSample, Motion, MotionState, Mover, NavSample, Rig, Tracks, View
 from alight.records.map_frame import in_world
 from alight.settings import StageSettings
-from alight.tracks import Tracker
+from alight.tracks import MovingWatch, Tracker
 
 Row = NavSample | ImuSample
 
@@ -95,6 +97,7 @@ class FilterLane:
         self._filter = MotionFilter(self._rig, self._settings, self.next_frame)
         self._predictors: deque[MotionPredictor | None] = deque(maxlen=2)  # predictors after the last two exposures
         self._predicted_from: MotionPredictor | None = None  # predictor of the last exposure
+        self._watch, self._watched_frame = MovingWatch(), self.next_frame
         self._attitude = False  # whether an attitude was measured
         self._motions: deque[Motion] = deque(maxlen=self._most)
         self._given = self._lost = self._led = 0  # numbers of exposures; led: while GPS drifted
@@ -116,12 +119,29 @@ class FilterLane:
         self._predictors.append(self._filter.predictor())
         if motion is None:
             return None
+        motion = replace(motion, movers=self._movers(batch.frame, motion))
         self._motions.append(motion)
         self.next_frame = max(self.next_frame, motion.frame_id + 1)
         self._given, self._lost = self._given + 1, self._lost + (motion.state is MotionState.LOST)
         self._led += motion.odometry is not None and motion.odometry.gps is GpsState.DRIFTS
         window = self._filter.clone_window()
         return Navigation(batch.frame, motion, None if window is None else window.posterior, self._attitude)
+
+    def _movers(self, frame: Frame, motion: Motion) -> tuple[Mover, ...]:
+        """Return who moves, by the first camera that looks down and has a picture; the filter's points are the ground.
+
+        Recordings are not watched.
+        """
+        state = self._filter.state
+        if self._most is None or state is None or not len(state.landmarks):
+            return ()
+        if motion.frame_id != self._watched_frame:
+            self._watch, self._watched_frame = MovingWatch(), motion.frame_id
+        for image, cam, pose in zip(frame.images, self._rig.cameras, motion.world_from_cams, strict=True):
+            if image is not None and -pose.rotation[2, 2] > 0.5:  # within 60 degrees
+                ground = float(np.median(state.landmarks.x[:, 2]))
+                return self._watch.feed(View(frame.t_ns, 0, image, cam.camera, pose), ground)
+        return ()
 
     def _take_rows(self, batch: FrameBatch) -> None:
         for row in batch.rows:

@@ -80,7 +80,10 @@ class ExecutiveTuning(FrozenModel):
         description="Speed sideways while it comes down, m/s, half of it at last: a jump of GPS must not rush it. "
         "An autopilot that lands by itself has its own",
     )
-    abort_height: Positive = Field(1.5, description="Height above the site below which a landing is not broken off, m")
+    abort_height: Positive = Field(
+        1.5, description="Height above the site below which a landing is broken off only for people and cars, m"
+    )
+    stop_height: Positive = Field(1.0, description="Height above the site below which it is not broken off at all, m")
     unmapped: Fraction = Field(
         0.05, description="Share of the ground that may be unmapped below a way longer than the approach height"
     )

@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.flight.executive.table import ENDS
-from alight.records.campaign import FaultRecord
+from alight.records import RigCamera
+from alight.records.campaign import FaultRecord, Touched
 from alight.records.executive import FlightState
 from alight.trials.landing import Trial
 from alight_sim.autopilot.dialects import Doing
+from alight_sim.movers import boxes_at
 from alight_sim.steered import SteeredFlight
+from alight_sim.steered.ground import tops
+from alight_sim.steered.touchdown import contact_seconds
 
 Range = tuple[float, float]
 Numbers = Mapping[str, float]
+STOPPABLE = 1.0  # metres above the ground, and seconds in view: else a landing cannot be stopped for somebody
 TURN: Range = (0.0, 2.0 * math.pi)
 
 
@@ -39,22 +46,10 @@ def _towards(n: Numbers, length: float) -> tuple[float, float]:
     return length * math.cos(n["direction"]), length * math.sin(n["direction"])
 
 
-def _time_left(v: SteeredFlight) -> float:
-    """Return the seconds until the vehicle is 2.5 m above ground if it sinks at 1 m/s; bodies must arrive by then.
-
-    Below 1.5 m, a landing is no longer aborted, and a camera that looks down sees a car too late.
-    """
-    east, north, up = (float(c) for c in v.true_pose.translation)
-    return up - v.world.height_at(east, north) - 2.5
-
-
 def _come(how: Callable[..., object], v: SteeredFlight, n: Numbers, speed: float) -> None:
-    """Move a car or a person to the vehicle `v` at `speed` m/s, by `how`, the method of `v` for such a body.
-
-    It starts at the drawn distance `n["from"]`, metres, or nearer to be in time. It brakes for up to 2 s.
-    """
+    """Move a car or a person to the vehicle `v` at `speed` m/s, by `how`, the method of `v` for such a body."""
     east, north, _ = (float(c) for c in v.true_pose.translation)
-    x, y = _towards(n, min(n["from"], speed * max(_time_left(v) - 2.0, 0.0)))
+    x, y = _towards(n, n["from"])
     how(east, north, start=(east + x, north + y), speed=speed)
 
 
@@ -121,6 +116,7 @@ class Happenings:
         self._at = vehicle.true_pose.translation.copy()
         self.distance = 0.0  # metres
         self.nearest: float | None = None  # metres, least height of the feet above everything within the radius
+        self._t, self._in_view = 0.0, defaultdict[int, float](float)  # s; s in view of each body, `STOPPABLE` or higher
 
     def __call__(self, trial: Trial) -> None:
         """Trigger the faults that are due; update the flown distance, and the least gap below the feet."""
@@ -128,6 +124,7 @@ class Happenings:
         at = self._vehicle.true_pose.translation
         self.distance += float(np.linalg.norm(at - self._at))
         self._at = at.copy()
+        self._watch_bodies(t)
         if state not in (FlightState.COMMIT, FlightState.ABORT, *ENDS):
             gap = self._vehicle.gap
             self.nearest = gap if self.nearest is None else min(self.nearest, gap)
@@ -138,13 +135,36 @@ class Happenings:
                 continue
             if fault.what in LINK_FAULTS:
                 LINK_FAULTS[fault.what].act(trial, fault.numbers)
-            elif (kind := {**FAULTS, **GPS_FAULTS}[fault.what]).is_body and _time_left(self._vehicle) <= 0.0:
-                continue
             else:
-                kind.act(self._vehicle, fault.numbers)
+                {**FAULTS, **GPS_FAULTS}[fault.what].act(self._vehicle, fault.numbers)
             self._happened[k] = t
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:
         """The planned faults, each with the second of the landing at which it happened; None: it did not happen."""
         return tuple(f.model_copy(update={"happened": self._happened.get(k)}) for k, f in enumerate(self._planned))
+
+    def _watch_bodies(self, t: float) -> None:
+        """Add up how long each body is in view while the vehicle is high enough to stop."""
+        v, seconds, self._t = self._vehicle, t - self._t, t
+        east, north, up = (float(c) for c in v.true_pose.translation)
+        if v.bodies and not v.contacts and up - v.standing - v.world.height_at(east, north) > STOPPABLE:
+            for k, body in enumerate(v.bodies):
+                middle = body.place_at(np.array([v.seconds])) + np.array([0.0, 0.0, 0.5 * body.size[2]])
+                self._in_view[k] += seconds * any(_shows(cam, v, middle) for cam in v.true_rig.cameras)
+
+    def touched(self, reach: float) -> Touched | None:
+        """Return whether the vehicle, of radius `reach` in metres, touched a person or car; None: it did not."""
+        v, found = self._vehicle, list[Touched]()
+        for contact in v.contacts:
+            (east, north, _), now = contact.pose.translation, np.array([contact_seconds(contact)])
+            for k, body in enumerate(v.bodies):
+                if tops(boxes_at([body], now)[0], float(east), float(north), reach) > -math.inf:
+                    found.append("could have been stopped" if self._in_view[k] >= STOPPABLE else "could not be stopped")
+        return min(found, default=None)  # the former, if there are both
+
+
+def _shows(cam: RigCamera, v: SteeredFlight, point: F64) -> bool:
+    """Whether a point, (1, 3) metres, is in the picture of a camera of the vehicle."""
+    pixel = cam.camera.project((v.true_pose @ cam.body_from_cam).inverse.apply(point))[0]
+    return bool((pixel >= 0).all() and pixel[0] < cam.camera.width and pixel[1] < cam.camera.height)

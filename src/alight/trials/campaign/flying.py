@@ -147,6 +147,7 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
         p_found=found[-1].p_safe if found else None, found_after=found[0].t if found else None,
         looks=tuple(landing.diary.looks),
         transitions=tuple(TransitionLine.model_validate(x, from_attributes=True) for x in landing.diary.transitions),
+        touched=happenings.touched(settings.lander.reach),
         seconds=landing.seconds, distance=happenings.distance, nearest=happenings.nearest, verdicts=landing.verdicts,
         cpu_of={name: round(s, 2) for name, s in landing.cpu_of.items()},
         picture=None if picture is None else f"landing-{conditions.landing:05d}.webp",

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import betaincinv
 
-from alight.records.campaign import OUTCOMES, LandingRecord
+from alight.records.campaign import OUTCOMES, LandingRecord, Touched
 from alight.records.executive import LookRecord
 
 CPU_LIMIT = 60.0  # s of CPU that a landing may take
@@ -62,6 +62,7 @@ class CampaignNumbers:
     right: float | None  # share that landed safely, was rightly refused, or handed over to the person in control
     touchdowns: int
     unsafe_ground: int  # touchdowns that the ground made unsafe; the rest came down too fast, or struck something
+    touched: dict[str, int]  # landings that touched a person or car, by whether they could have been stopped
     struck: int  # landings that struck an obstacle beside them in flight
     nearest: float | None  # metres, least height of the feet above everything in the footprint before the landing
     bound: float  # upper bound, with 95 % confidence, of the unsafe share of landings that did not fail
@@ -100,6 +101,7 @@ def campaign_numbers(records: Sequence[LandingRecord]) -> CampaignNumbers:
     return CampaignNumbers(
         landings=n, outcomes=outcomes, right=sum(r.is_right for r in records) / n if n else None,
         touchdowns=len(down), unsafe_ground=ground,
+        touched={name: sum(r.touched == name for r in records) for name in Touched.__args__},  # type: ignore[attr-defined]
         struck=sum(r.strike is not None for r in down),
         nearest=min((r.nearest for r in records if r.nearest is not None), default=None),
         bound=unsafe_bound(unsafe, known), touchdown_bound=unsafe_bound(unsafe, len(down)),

@@ -134,8 +134,16 @@ def _tables(
     n: CampaignNumbers,
     other: tuple[str, CampaignNumbers] | None,
 ) -> Iterator[CampaignTable]:
+    came = sum(f.what in ("car", "person") and f.happened is not None for r in records for f in r.conditions.faults)
     if other is not None:
         yield CampaignTable("Beside another campaign", ("", name, other[0]), comparison(n, other[1]))
+    yield CampaignTable(
+        "People and cars",
+        ("", "landings"),
+        [(f"touched: {name}", str(count)) for name, count in n.touched.items()] if came else [],
+        f"{came} landings in which somebody came. It could have been stopped for somebody who was in view for a "
+        "second while the vehicle was above 1 m.",
+    )
     for title, first, counts in (
         ("world", "world", n.by_scene), ("fault", "fault", n.by_fault), ("wind", "wind", n.by_wind),
         ("the height of the sun", "sun", n.by_sun),
@@ -211,6 +219,7 @@ def comparison(one: CampaignNumbers, two: CampaignNumbers) -> list[tuple[str, st
             "landed safely or rightly refused": "" if n.right is None else f"{100 * n.right:.1f} %",
             "touchdowns on unsafe ground": str(n.unsafe_ground),
             "struck in flight": str(n.struck),
+            **{f"touched somebody: {name}": str(count) for name, count in n.touched.items()},
             "unsafe landings, 95 % bound": f"{100 * n.bound:.2g} %",
             "unsafe ground, 95 % bound": f"{100 * n.ground_bound:.2g} %",
             "looks a landing": "" if n.looks_each is None else f"{n.looks_each:.1f}",

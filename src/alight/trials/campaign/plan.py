@@ -14,13 +14,14 @@ from alight.trials.campaign.faults import FAULTS, GPS_FAULTS, LINK_FAULTS
 from alight.trials.campaign.worlds import is_factory
 
 MOST_WIND = 6.0  # m/s
+LANDS = 15.0  # s that a landing takes: whoever comes meets it at any height
 SUN = (12.0, 75.0)  # degrees above the horizon
 AT_STATES = (FlightState.APPROACH, FlightState.LOOK, FlightState.DESCEND, FlightState.COMMIT)
 
 
 def conditions_of(
     scenes: Sequence[str], seed: int, landing: int, link_faults: float = 0.0, firmware: FirmwareName = "ardupilot",
-    odometry: bool = False,
+    odometry: bool = False, people: float = 0.0,
 ) -> Conditions:  # fmt: skip
     """Draw the conditions of a landing: scenes take turns, everything else is random.
 
@@ -32,6 +33,7 @@ def conditions_of(
             of it.
         firmware: firmware of the simulated autopilot.
         odometry: whether odometry is sent, and GPS fails in each landing, instead of other faults of the vehicle.
+        people: share of the landings in which a person or car comes to the site, instead of other faults.
     """
     stream = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing, 2)))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing,)))
@@ -44,13 +46,16 @@ def conditions_of(
         flight_seed=flight_seed, heading=heading, wind=(wind * math.cos(blows), wind * math.sin(blows)),
         gusts=0.1 + 0.05 * wind, gps_sigma=(gps, gps, 1.5 * gps), gps_tau=rng.uniform(30.0, 120.0),
         light=None if is_factory(scene) else drawn_light(np.random.default_rng(light)),
-        faults=_own_faults(rng, odometry) + _link_fault(stream, link_faults),
+        faults=_own_faults(rng, odometry, people) + _link_fault(stream, link_faults),
         firmware=firmware, odometry=odometry,
     )  # fmt: skip
 
 
-def _own_faults(rng: np.random.Generator, odometry: bool) -> tuple[FaultRecord, ...]:
-    """Draw a fault of the vehicle in a third of the landings or, with odometry, one of GPS in each."""
+def _own_faults(rng: np.random.Generator, odometry: bool, people: float) -> tuple[FaultRecord, ...]:
+    """Draw a fault of the vehicle in a third of the landings or one of GPS in each (`odometry`), or a person or car."""
+    if people > 0 and rng.random() < people:
+        what = str(rng.choice([name for name, fault in FAULTS.items() if fault.is_body]))
+        return (_coming(what, rng, rng.uniform(0.0, LANDS)),)
     if not odometry:
         return (_fault(rng),) if rng.random() < 1 / 3 else ()
     what, state = (
@@ -74,13 +79,19 @@ def drawn_light(rng: np.random.Generator) -> LightRecord:
 def _fault(rng: np.random.Generator) -> FaultRecord:
     """Draw a fault or event, due at a time or after a state is entered; cars and persons come at a look or later."""
     what = str(rng.choice(list(FAULTS)))
-    fault, by_state = FAULTS[what], bool(rng.random() < 0.5)
-    state = str(rng.choice([s.value for s in (AT_STATES[1:] if fault.is_body else AT_STATES)]))
+    fault, at_state, state = FAULTS[what], bool(rng.random() < 0.5), str(rng.choice([s.value for s in AT_STATES]))
     early, late = rng.uniform(0, 2.0), rng.uniform(5.0, 60.0)  # s: after the state is entered; of the flight
-    at_state = by_state or fault.is_body
+    if fault.is_body:
+        return _coming(what, rng, early)
     return FaultRecord(
         what=what, after=early if at_state else late, state=state if at_state else None, numbers=fault.draw(rng)
     )
+
+
+def _coming(what: str, rng: np.random.Generator, after: float) -> FaultRecord:
+    """Draw somebody who sets out to the place `after` s into a look, or a part of the way down."""
+    state = str(rng.choice([s.value for s in AT_STATES[1:]]))
+    return FaultRecord(what=what, after=after, state=state, numbers=FAULTS[what].draw(rng))
 
 
 def _link_fault(rng: np.random.Generator, share: float) -> tuple[FaultRecord, ...]:

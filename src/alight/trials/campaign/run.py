@@ -56,6 +56,7 @@ class Campaign:
     link_faults: float = 0.0  # share of the landings with a fault of the link or the autopilot
     firmware: FirmwareName = "ardupilot"
     odometry: bool = False  # whether odometry is sent, and GPS fails in each landing
+    people: float = 0.0  # share of the landings in which a person or car comes
 
     def __post_init__(self) -> None:
         if not 1 <= self.landings <= MOST_LANDINGS:
@@ -66,7 +67,9 @@ class Campaign:
 
     def conditions(self, landing: int) -> Conditions:
         """Draw the conditions of the landing with this number."""
-        return conditions_of(self.scenes, self.seed, landing, self.link_faults, self.firmware, self.odometry)
+        return conditions_of(
+            self.scenes, self.seed, landing, self.link_faults, self.firmware, self.odometry, self.people
+        )
 
     @property
     def head(self) -> CampaignHead:
@@ -74,8 +77,8 @@ class Campaign:
         settings = self.settings.model_dump(mode="json")
         return CampaignHead(
             alight=__version__, seed=self.seed, scenes=tuple(self.scenes), landings=self.landings, settings=settings,
-            link_faults=self.link_faults, firmware=self.firmware, odometry=self.odometry, sources=sources_digest(),
-            files=file_digests(self.scenes, self.settings),
+            link_faults=self.link_faults, firmware=self.firmware, odometry=self.odometry, people=self.people,
+            sources=sources_digest(), files=file_digests(self.scenes, self.settings),
         )  # fmt: skip
 
     def check(self) -> None:
@@ -125,7 +128,9 @@ def continued(out: Path, landings: int | None = None) -> Campaign:
     except ValueError as e:
         raise InputError(f"{out / HEAD}: its settings are damaged: {e}") from e
     number = wanted_landings(out, landings)
-    return Campaign(head.scenes, number, head.seed, settings, head.link_faults, head.firmware, head.odometry)
+    return Campaign(
+        head.scenes, number, head.seed, settings, head.link_faults, head.firmware, head.odometry, head.people
+    )
 
 
 def fly_campaign(
