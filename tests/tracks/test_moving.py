@@ -65,8 +65,9 @@ def test_somebody_who_walks_is_found_within_half_a_second(height: float) -> None
     assert 1.2 < np.median([v[0] for v in steady]) < 3.0  # on the ground, a head moves faster than its feet
 
 
-@pytest.mark.parametrize("height", [30.0, 15.0, 8.0, 4.0, 2.5])
-@pytest.mark.parametrize("speed", [0.0, 0.2])
+@pytest.mark.parametrize(
+    ("height", "speed"), [(30.0, 0.4), (15.0, 0.4), (8.0, 0.4), (4.0, 0.4), (4.0, 0.0), (2.5, 0.0)]
+)
 def test_what_stands_is_explained_by_its_height(height: float, speed: float) -> None:
     """The light changes as well, and the poses are off by more than a walker's step in pixels."""
     assert not any(flown(height, None, stands=True, speed=speed, shake=0.001))
