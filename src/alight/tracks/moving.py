@@ -1,8 +1,9 @@
-"""People and cars that move: differences between levelled pictures that no height explains (docs/method/third-parties.md, G23).
+"""People and cars that move: differences between levelled pictures that no height explains.
 
 A levelled picture is what a camera that looks straight down from the same place would see. Between two of them, level
 ground moves by a scale and a shift, and what stands above it by more, depending on its height alone. So each pixel of
-the newest picture is compared with two earlier pictures over planes of all heights. What no height explains has moved.
+the newest picture is compared with two earlier pictures over planes of all heights. What no height explains has moved
+(docs/method/third-parties.md, G23).
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ TALL = 0.6  # share of the camera's height up to which things may stand
 LIGHT = 0.1  # largest change of the log brightness between two pictures that a cloud's shadow makes
 DIFFERENT = (1.5, 2.5)  # mean over 5 x 5 pixels, in usual differences, on quiet ground and where all is restless
 FASTEST = 12.0  # m/s, of a person or car
-ENOUGH = 60  # pixels of all patches of a trail of three; five times as many of one of two, ten times of a single one
-FOOT = 0.02  # m^2, of the smallest patch that counts from low down
+ENOUGH = 90  # pixels of all patches of a trail of three; five times as many of one of two, ten times of a single one
+FOOT = 0.03  # m^2, of the smallest patch that counts from low down
 
 
 @dataclass(frozen=True, eq=False)
