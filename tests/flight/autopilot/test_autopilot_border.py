@@ -217,7 +217,7 @@ def test_a_setpoint_ahead_is_as_far_as_its_speed_allows() -> None:
 
     here = Place(47.6, 13.4, 540.0, 40.0)
     far = Target.of(Setpoint(np.array([3.0, 30.0, 30.0]), speed=2.0, sink=0.5), tie())
-    near = far.near(here, np.zeros(3), Plain()).place
+    near = far.near(here, np.zeros(3), np.zeros(3), Plain()).place
     assert near is not None
     assert (near.latitude - here.latitude) * 111_132 == pytest.approx(4.0, abs=0.01)
     assert (near.longitude, near.altitude_msl) == (pytest.approx(13.4, abs=1e-9), pytest.approx(539.0))
