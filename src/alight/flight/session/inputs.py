@@ -209,7 +209,7 @@ class LandingInputs:
     def _offset(self, motion: Motion) -> F64 | None:
         """Return the way, (2,) metres, from the map frame to the plane of the autopilot's fence; None: unknown.
 
-        It is unknown by the position of an autopilot that fuses a GPS that lies: the fence stays where it is in the map.
+        It is unknown where the autopilot fuses a GPS that lies: the fence stays where it is in the map.
         """
         gps = None if motion.odometry is None else motion.odometry.gps
         if self._vehicle.odometry.fuses_gps and gps in (GpsState.JUMPED, GpsState.DRIFTS):
