@@ -141,17 +141,50 @@ def test_height_of_the_barometer() -> None:
     assert np.ptp(up) < 0.6
 
 
-def watch_of(speed: Callable[[float], float], late: float = 0.0) -> list[GpsState]:
-    """States of a watch of positions 10 times a second, of sigma 0.5 m, that are late, over a flight of that speed."""
-    watch, out = FixWatch(FilterSettings()), list[GpsState]()
-    for k in range(150):
-        v = speed(0.1 * k)
-        off = np.array([-late * v, 0.0, 0.0])
-        watch.compare(k * 100_000_000, off, np.array([v, 0.0, 0.0]), np.eye(3) * 1e-4, np.full(3, 0.5))
+def watch_of(
+    velocity: Callable[[float], F64],
+    late: Callable[[float], float],
+    led: Callable[[float], F64] = lambda t: np.zeros(3),
+) -> list[tuple[float, GpsState]]:
+    """Times and states of a watch of positions 10 times a second, of sigma 0.5 m, that are late or led away."""
+    watch, out = FixWatch(FilterSettings()), list[tuple[float, GpsState]]()
+    for k in range(200):
+        t = 0.1 * k
+        v = velocity(t)
+        watch.compare(k * 100_000_000, led(t) - late(t) * v, v, np.eye(3) * 1e-4, np.full(3, 0.5))
         watch.admit(k * 100_000_000, True, False)
-        out.append(watch.state)
+        out.append((t, watch.state))
     return out
 
 
-def test_late_positions_of_a_vehicle_that_brakes_are_no_drift() -> None:
-    assert set(watch_of(lambda t: max(8.0 - 2.5 * max(t - 5.0, 0.0), 0.0), late=0.2)) == {GpsState.USED}
+def climb(t: float) -> F64:
+    return np.array([0.0, 0.0, 3.0 * np.clip((t - 5.0) / 1.5, 0.0, 1.0)])
+
+
+def cruise(t: float) -> F64:
+    return np.array([7.0 * np.clip((t - 2.0) / 2.5, 0.0, 1.0), 0.0, 0.0])
+
+
+def brake(t: float) -> F64:
+    return np.array([max(8.0 - 2.5 * max(t - 5.0, 0.0), 0.0), 0.0, 0.0])
+
+
+@pytest.mark.parametrize("velocity", [climb, cruise, brake])
+@pytest.mark.parametrize("kind", ["late", "any age", "later and later"])
+def test_late_positions_are_no_drift(velocity: Callable[[float], F64], kind: str) -> None:
+    rng = np.random.default_rng(1)
+    late = {"late": lambda t: 0.2, "any age": lambda t: rng.uniform(0.0, 0.2), "later and later": lambda t: 0.01 * t}
+    assert {state for _, state in watch_of(velocity, late[kind])} == {GpsState.USED}
+
+
+@pytest.mark.parametrize("velocity", [climb, cruise])
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("latest", [0.0, 0.2])
+def test_a_drift_is_found_along_and_across_the_flight(
+    velocity: Callable[[float], F64], axis: int, latest: float
+) -> None:
+    rng = np.random.default_rng(1)
+    way = np.eye(3)[axis]
+    states = watch_of(velocity, lambda t: rng.uniform(0.0, latest), lambda t: way * max(t - 9.0, 0.0))
+    found = next(t for t, state in states if state is GpsState.DRIFTS)
+    assert 9.0 < found < 14.0

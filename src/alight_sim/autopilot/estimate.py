@@ -32,15 +32,17 @@ class Estimate(Protocol):
 
 @dataclass
 class EstimateError:
-    """Error of the estimated position alone: a constant offset plus a random walk, in metres east, north, up.
+    """Error of the estimated position: a constant offset plus a random walk, in metres east, north, up.
 
-    While `receives` is false, the receiver has no position.
+    While `receives` is false, the receiver has no position. A position that is led away grows by `led`, and the
+    velocity is wrong by as much.
     """
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     walk: float = 0.0  # metres per square root of a second
     seed: int = 0
     receives: bool = True
+    led: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m/s
     error: F64 = field(init=False)  # (3,) metres, at present
 
     def __post_init__(self) -> None:
@@ -50,11 +52,13 @@ class EstimateError:
 
     @property
     def now(self) -> NavigationError:
-        """Present errors; only the position has any."""
-        return NavigationError(self.error, np.eye(3), np.eye(3), np.zeros(3), np.array([0.8, 0.8, 1.2]), self._blind)
+        """Present errors, of position and velocity."""
+        sigma = np.array([0.8, 0.8, 1.2])
+        return NavigationError(self.error, np.eye(3), np.eye(3), np.array(self.led), sigma, self._blind)
 
     def step(self, dt: float) -> None:
         """Advance by `dt` seconds."""
         self._blind = 0.0 if self.receives else self._blind + dt
+        self.error = self.error + dt * np.array(self.led)
         if self.walk > 0:
             self.error = self.error + self.walk * dt**0.5 * self._rng.standard_normal(3)

@@ -79,7 +79,8 @@ class Estimator:
         """Advance by `dt` s to `t`; `position` (3,) metres and `velocity` (3,) m/s are the true ones."""
         now = self._estimate.now
         if self._by_gps:
-            self._error, self._velocity_error = now.position, now.velocity
+            self._error = now.position
+            self._velocity_error = self._velocity_error + _GAIN * (now.velocity - self._velocity_error)
         else:
             self._error = np.array([*(self._error + dt * self._velocity_error)[:2], now.position[2]])
         self._past.append((t, position + self._error, velocity + self._velocity_error))

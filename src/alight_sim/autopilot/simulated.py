@@ -210,11 +210,18 @@ class SimulatedAutopilot:
         self.estimator.step(self.boot, dt, self.vehicle.body.position, self.vehicle.body.velocity)
         self._keep_position(dt)
         wanted = self.logic.step(self.boot, self.estimated, self.vehicle.body.stands)
-        if wanted is not None and wanted.position is not None:  # true position is off by the estimate's error
-            wanted = replace(wanted, position=wanted.position - self.estimator.error)
+        if wanted is not None:
+            wanted = self._true(wanted)
         events = self.vehicle.step(dt, wanted)
         self.reports.step(self.boot, self)
         return events
+
+    def _true(self, wanted: Wanted) -> Wanted:
+        """Return where and how fast the vehicle really flies as its estimate follows a set-point."""
+        if self.estimator.takes_odometry:
+            along = np.zeros(3) if wanted.velocity is None else wanted.velocity
+            wanted = replace(wanted, velocity=along - self.estimator.velocity_error * (1.0, 1.0, 0.0))
+        return wanted if wanted.position is None else replace(wanted, position=wanted.position - self.estimator.error)
 
     def _keep_position(self, dt: float) -> None:
         """Land by the failsafe of an estimator with external navigation that has had no position for 0.6 s."""

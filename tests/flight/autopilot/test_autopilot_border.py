@@ -217,18 +217,18 @@ def test_a_setpoint_ahead_is_as_far_as_its_speed_allows() -> None:
 
     here = Place(47.6, 13.4, 540.0, 40.0)
     far = Target.of(Setpoint(np.array([3.0, 30.0, 30.0]), speed=2.0, sink=0.5), tie())
-    near = far.near(here, np.zeros(3), Plain()).place
+    near = far.near(here, np.zeros(3), np.zeros(3), Plain()).place
     assert near is not None
     assert (near.latitude - here.latitude) * 111_132 == pytest.approx(4.0, abs=0.01)
     assert (near.longitude, near.altitude_msl) == (pytest.approx(13.4, abs=1e-9), pytest.approx(539.0))
     assert near.above_home == pytest.approx(39.0)
     up = Target.of(Setpoint(np.array([3.0, 1.0, 42.0]), speed=2.0, sink=0.5), tie())
-    same = up.near(here, np.zeros(3), Plain()).place
+    same = up.near(here, np.zeros(3), np.zeros(3), Plain()).place
     assert same is not None
     assert up.place is not None
     assert_allclose(astuple(same), astuple(up.place), rtol=1e-12)
     higher = Target.of(Setpoint(np.array([3.0, 0.0, 90.0]), speed=2.0, sink=0.5), tie())
-    high = higher.near(here, np.zeros(3), Plain()).place
+    high = higher.near(here, np.zeros(3), np.zeros(3), Plain()).place
     assert high is not None
     assert high.altitude_msl == pytest.approx(546.0)  # no set-point lets it climb faster than 3 m/s
 

@@ -17,6 +17,7 @@ from alight.checks.result import CheckResult, Judged
 from alight.flight.live.telemetry import TelemetryFeed
 from alight.flight.session import preflight as p
 from alight.flight.session.dry_run import report_parameters
+from alight.records import GpsState, MotionState
 from alight.records.executive import FlightState
 from alight.records.telemetry import FirmwareName
 from alight.settings import Settings
@@ -78,6 +79,22 @@ def test_the_disc_never_leaves_the_fence(dialect: FirmwareName, seed: int) -> No
     assert r.run(400.0, lambda: r.pilot.over)
     assert r.state is S.LANDED
     assert min(rooms) > DISC
+
+
+def test_a_position_that_is_led_away_does_not_move_the_fence() -> None:
+    """PX4 goes on fusing it: by its position the place is soon far outside a fence that it lies within."""
+    r = rig("px4", [], Ground({PLACE: clearer_from_below}), odometry=True)
+    r.sim.memory.plans[FENCE] = fence_circle((0.0, 0.0), 27.0, r.sim.home.degrees, True)
+    r.vehicle.onboard.rebooted()
+    r.up_and_flying(30.0)
+    r.begin()
+    assert r.fly(S.APPROACH)
+    r.sim.estimate.led = (1.0, 0.5, 0.0)
+    r.run(3.0)
+    r.gps, r.motion_state = GpsState.DRIFTS, MotionState.DEGRADED
+    assert r.fly(S.LANDED, 200.0)
+    assert np.hypot(*r.sim.estimated[:2]) > 40.0
+    assert np.hypot(*(r.truth()[:2] - PLACE)) < 0.5
 
 
 def test_where_nothing_is_left_inside_the_fence_it_returns_and_names_it() -> None:

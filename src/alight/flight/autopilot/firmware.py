@@ -83,13 +83,14 @@ class Firmware(ABC):
         A nearer set-point slows the vehicle down. `upright`: whether the distance is vertical, else level.
         """
 
-    def ahead(self, way: F64, speed: float, velocity: F64) -> F64:
+    def ahead(self, way: F64, speed: float, velocity: F64, drift: F64) -> F64:
         """Return the vector, (2,) metres east and north, from the vehicle to the set-point to send now.
 
         Args:
             way: (2,) metres east and north, from the vehicle to its target.
             speed: ordered, m/s.
             velocity: (2,) m/s, of the vehicle; NaN: unknown.
+            drift: (2,) m/s, of which that velocity is known to be wrong.
         """
         return way * min(1.0, self.reach(speed, False) / max(math.hypot(*way), 1e-6))
 
@@ -237,7 +238,7 @@ class Px4Firmware(Firmware):
         """Return the distance, m, to a set-point for flight at `speed`, by the position gain; see `Firmware.reach`."""
         return speed / self._gain
 
-    def ahead(self, way: F64, speed: float, velocity: F64) -> F64:
+    def ahead(self, way: F64, speed: float, velocity: F64, drift: F64) -> F64:
         """Return the vector to the set-point that changes the velocity by at most 1 m/s; see `Firmware.ahead`.
 
         PX4 flies at the velocity v = gain * distance, and accelerates by 1.8 / s (MPC_XY_VEL_P_ACC) times the change of
@@ -247,7 +248,7 @@ class Px4Firmware(Firmware):
         away, braking = math.hypot(*way), 1.2
         near = braking / self._gain**2
         law = self._gain * away if away < near else math.sqrt(2 * braking * (away - near / 2))
-        wanted = way * (min(speed, law) / max(away, 1e-6))
+        wanted = way * (min(speed, law) / max(away, 1e-6)) + drift
         change = wanted - velocity
         if not np.isfinite(change).all():
             return wanted / self._gain

@@ -80,11 +80,17 @@ class OdometryLink:
         commands: CommandQueue,
     ) -> None:  # fmt: skip
         self._firmware, self._state, self._clock, self._send, self._commands = firmware, state, clock, send, commands
+        self.drift = np.zeros(3)  # m/s: velocity that the autopilot reports by sight, less ours, of the same instant
 
     @property
     def in_use(self) -> bool:
         """Whether the autopilot was ordered to fly by the poses: its position is then no measurement of its own."""
         return self._state.newest.by_sight
+
+    @property
+    def fuses_gps(self) -> bool:
+        """Whether the autopilot flies by the poses, and fuses GPS all the same."""
+        return self.in_use and not self._firmware.position_sources
 
     def place_at(self, t_ns: int) -> F64 | None:
         """Return the autopilot's local position at an instant of our clock, (3,) metres east, north, up; None: unknown.
@@ -105,8 +111,17 @@ class OdometryLink:
             return False
         t_ns = pose.t_ns if by_ours else self._clock.theirs_ns(pose.t_ns)
         if t_ns > 0:  # else it was taken before the boot
+            self._compare(pose)
             self._send(pose.message(t_ns // 1000, self._firmware.odometry_frame))
         return t_ns > 0
+
+    def _compare(self, pose: ExternalPose) -> None:
+        """Compare the velocity of an estimator that fuses GPS too; one that has changed its source has ours."""
+        if not (self.fuses_gps and pose.quality and self._clock.known):
+            return
+        velocity = self._state.positions.velocity_at(self._clock.theirs_ns(pose.t_ns))
+        if velocity is not None:
+            self.drift = (velocity - pose.velocity_world) * (1.0, 1.0, 0.0)
 
     def use(self, wanted: bool, t_ns: int) -> int | None:
         """Order the autopilot to fly by the poses, or by GPS; return the ticket, None if it needs no order.
@@ -115,6 +130,7 @@ class OdometryLink:
         """
         self._state.newest = replace(self._state.newest, by_sight=wanted)
         self._state.positions.expects_resets = True
+        self.drift = np.zeros(3)
         number = self._firmware.position_sources.get(wanted)
         if number is None:
             return None

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from alight.arrays import F64
-from alight.flight.autopilot.border import METRES_PER_DEGREE, metres_between, metres_per_degree_east, shifted
+from alight.flight.autopilot.border import METRES_PER_DEGREE, enu, metres_between, metres_per_degree_east, shifted
 from alight.flight.autopilot.clock import VehicleClock
 from alight.records import Place
 from alight.records.telemetry import HIGHEST
@@ -116,12 +116,19 @@ class PositionLog:
 
         None: no report is near that instant, or the newest reports contradict the accepted reports.
         """
+        report = self._nearest(boot_ns)
+        return None if report is None else report.at(boot_ns)
+
+    def velocity_at(self, boot_ns: int) -> F64 | None:
+        """Return the velocity at an instant of the autopilot's clock, (3,) m/s east, north, up; None: see `at`."""
+        report = self._nearest(boot_ns)
+        return None if report is None else enu(*report.velocity_ned)
+
+    def _nearest(self, boot_ns: int) -> PositionReport | None:
         after = bisect_left(self._reports, boot_ns, key=_stamp)
         beside = self._reports[max(after - 1, 0) : after + 1]
         near = [r for r in beside if -_BACK_NS <= boot_ns - r.boot_ns <= _CARRIED_NS]
-        if not near or self.doubted:
-            return None
-        return min(near, key=lambda report: abs(report.boot_ns - boot_ns)).at(boot_ns)
+        return None if self.doubted else min(near, key=lambda r: abs(r.boot_ns - boot_ns), default=None)
 
     def age(self, boot_ns: int) -> float:
         """Return the seconds from the newest report to an instant of the autopilot's clock; inf: no report."""

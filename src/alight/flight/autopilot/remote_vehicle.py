@@ -135,21 +135,27 @@ class RemoteVehicle:
     def tie(self, local: LocalFrame, position_world: F64, t_ns: int) -> EstimateTie | None:
         """Tie our position, `position_world` at `t_ns` of our clock, to the autopilot's position at the same instant.
 
+        An estimate that drifts is carried on to the present.
+
         Returns:
             The tie; None: the autopilot has no position near that instant.
         """
         place = self.place_at(t_ns)
-        return None if place is None else EstimateTie(local, position_world, place)
+        drifted = self.odometry.drift * (self._now_ns - t_ns) * 1e-9
+        return None if place is None else EstimateTie(local, position_world - drifted, place)
 
     def displacement(self, local: LocalFrame, since_ns: int, now_ns: int) -> Displacement:
-        """Return the displacement from `since_ns` to `now_ns` of our clock, by the autopilot, in axes of `local`."""
+        """Return the displacement from `since_ns` to `now_ns` of our clock, by the autopilot, in axes of `local`.
+
+        It is without the drift of the autopilot's estimate.
+        """
         if self.place_jumped:
             return Displacement(None, jumped=True)
         then, now = self.place_at(since_ns), self.place_at(now_ns)
         if then is None or now is None:
             return Displacement(None)
         a, b = (local.to_enu(p.latitude, p.longitude, p.altitude_msl) for p in (then, now))
-        vector = np.asarray(b - a)
+        vector = np.asarray(b - a) - self.odometry.drift * (now_ns - since_ns) * 1e-9
         farthest = 5.0 + 25.0 * (now_ns - since_ns) * 1e-9  # m: beyond that it was not flown
         jumped = not float(np.linalg.norm(vector)) <= farthest
         return Displacement(None if jumped else vector, jumped)
@@ -250,7 +256,8 @@ class RemoteVehicle:
 
     def _aim(self, target: Target) -> None:
         now = self._state.newest
-        self._guidance.aim(target, self.place_at(self._now_ns) or now.place, now.velocity_world, self._now_ns)
+        here, drift = self.place_at(self._now_ns) or now.place, self.odometry.drift
+        self._guidance.aim(target, here, now.velocity_world, drift, self._now_ns)
         if now.mode is FlightMode.GUIDED:
             self._guidance.keep_speeds(self._timeouts.t_ns)
 

@@ -62,7 +62,7 @@ class Target:
             raise ValueError("a position needs our position and the autopilot's of one instant")
         return cls(tie.place_of(position), velocity_ned, setpoint.heading, setpoint.speed, setpoint.sink)
 
-    def near(self, here: Place, velocity: F64, firmware: Firmware) -> Target:
+    def near(self, here: Place, velocity: F64, drift: F64, firmware: Firmware) -> Target:
         """Return the set-point to send now: near the vehicle, but so far ahead that the vehicle does not slow down.
 
         An autopilot flies on to its last set-point after a takeover by the sticks, a lost link, or the end of this
@@ -71,14 +71,15 @@ class Target:
         Args:
             here: position of the vehicle.
             velocity: (3,) m/s, of the vehicle; NaN: unknown.
+            drift: (3,) m/s, of which the autopilot's velocity is wrong: it is flown in addition.
             firmware: decides how far ahead the set-point is.
         """
         if self.place is None:
-            return self
+            return self if self.velocity_ned is None else replace(self, velocity_ned=self.velocity_ned + ned(drift))
         degree = np.array([metres_per_degree_east(here), METRES_PER_DEGREE])
         east = math.remainder(self.place.longitude - here.longitude, 360.0)
         way = np.array([east, self.place.latitude - here.latitude]) * degree
-        east, north = firmware.ahead(way, self.speed, velocity[:2]) / degree
+        east, north = firmware.ahead(way, self.speed, velocity[:2], drift[:2]) / degree
         up = self.place.altitude_msl - here.altitude_msl
         higher = min(max(up, -firmware.reach(self.sink, True)), firmware.reach(CLIMB, True)) - up  # than the target
         return replace(self, place=Place(
@@ -129,13 +130,13 @@ class Guidance:
         self._tickets: set[int] = set()  # tickets of the commands of speeds
         self._refused = False
 
-    def aim(self, target: Target, here: Place | None, velocity: F64, now_ns: int) -> None:
+    def aim(self, target: Target, here: Place | None, velocity: F64, drift: F64, now_ns: int) -> None:
         """Send a set-point towards a target, near the vehicle.
 
         Args:
             target: position or velocity to reach in the end.
             here: position of the vehicle; None: unknown; then the last set-point or, without one, the target is sent.
-            velocity: (3,) m/s, of the vehicle; NaN: unknown.
+            velocity, drift: see `Target.near`.
         """
         if self.target is None:
             self.since_ns, self._ahead = now_ns, None
@@ -143,7 +144,7 @@ class Guidance:
             self.forget_speeds()  # ArduPilot changes its controller
         self.target, self._sent_ns = target, now_ns
         if here is not None:
-            self._ahead = target.near(here, velocity, self._firmware)
+            self._ahead = target.near(here, velocity, drift, self._firmware)
         elif target.place is None or self._ahead is None or self._ahead.place is None:
             self._ahead = target  # else the last one again while the position is unknown: the target is too far
         self._send(self._ahead.message(now_ns, *self._address))

@@ -14,7 +14,7 @@ from alight.flight.autopilot import RemoteVehicle, on_plane
 from alight.flight.session.wind import WindWatch
 from alight.geometry import LocalFrame
 from alight.pipeline import Verdict
-from alight.records import FlightMode, Frame, Motion, MotionState, PlaceSigma, Telemetry
+from alight.records import FlightMode, Frame, GpsState, Motion, MotionState, PlaceSigma, Telemetry
 from alight.records.executive import MapVerdict, SightQuality, Situation
 
 WIND_KNOWN = 2.0  # m/s, 1-sigma up to which an estimated wind is used
@@ -208,7 +208,13 @@ class LandingInputs:
         return wind
 
     def _offset(self, motion: Motion) -> F64 | None:
-        """Return the way, (2,) metres, from the map frame to the plane of the autopilot's fence; None: unknown."""
+        """Return the way, (2,) metres, from the map frame to the plane of the autopilot's fence; None: unknown.
+
+        It is unknown where the autopilot fuses a GPS that lies: the fence stays where it is in the map.
+        """
+        gps = None if motion.odometry is None else motion.odometry.gps
+        if self._vehicle.odometry.fuses_gps and gps in (GpsState.JUMPED, GpsState.DRIFTS):
+            return None
         place = self._vehicle.place_at(motion.t_ns)
         return None if place is None else on_plane(self._local, place) - motion.world_from_body.translation[:2]
 

@@ -186,8 +186,8 @@ class OrderSender:
 
     def _kept(self, here: Place, now_ns: int) -> Place:
         """Return the position held so far, or `here` after a jump of the autopilot's estimate."""
-        if self._held is None or metres_between(self._held[0], here) > 5.0:
-            return here
+        if self._held is None or metres_between(self._held[0], here) > 5.0 or self._vehicle.odometry.drift.any():
+            return here  # a position of an estimate that drifts moves over the ground
         if self._held[2] != self._vehicle.place_resets:
             return here
         flown = self._vehicle.displacement(self._local, self._held[1], now_ns).vector
@@ -269,7 +269,7 @@ class OrderSender:
         PX4 is faster). It goes astray where GPS lies and the autopilot uses it all the same.
         """
         now, firmware = self._vehicle.telemetry, self._vehicle.firmware
-        if now.by_sight and not firmware.position_sources:
+        if self._vehicle.odometry.fuses_gps:
             return True
         above = (
             self._site_above if self._site_above is not None else None if now.place is None else now.place.above_home

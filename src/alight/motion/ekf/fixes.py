@@ -104,7 +104,9 @@ class FixWatch:
         late = MAX_GPS_AGE * steps[..., 4:7]  # the way of a late position while the velocity changes
         S += late[..., :, None] * late[..., None, :]
         mean = moved.mean(axis=1, keepdims=True)
-        distance = (mean @ np.linalg.solve(S.mean(axis=1), mean.swapaxes(1, 2)))[:, 0, 0]
+        outer = ends[:, (0, -1), 4:7] * (MAX_GPS_AGE / (12.0**0.5 * MAX_REJECTIONS))  # positions of any age up to that
+        S_mean = S.mean(axis=1) + outer.swapaxes(1, 2) @ outer
+        distance = (mean @ np.linalg.solve(S_mean, mean.swapaxes(1, 2)))[:, 0, 0]
         steady = ((aided - 0.5 * mean) * mean).sum(axis=2).min(axis=1) > 0.0
         if found := np.flatnonzero((distance > self._limit) & steady).tolist():
             self._drifted_ns = t_ns
