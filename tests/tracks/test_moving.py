@@ -8,7 +8,7 @@ import pytest
 
 from alight.arrays import F64, U8
 from alight.geometry import Camera, Pose
-from alight.records import Mover, View
+from alight.records import MovingBody, View
 from alight.tracks import MovingWatch
 
 CAMERA = Camera(320, 240, 240.0, 240.0, 159.5, 119.5, "none", ())
@@ -40,9 +40,9 @@ def picture(centre: F64, boxes: list[tuple[float, float, float, float]], light: 
 
 def flown(
     height: float, walks: tuple[float, float] | None, stands: bool = False, speed: float = 0.0, shake: float = 0.0
-) -> list[tuple[Mover, ...]]:
+) -> list[tuple[MovingBody, ...]]:
     """What is found in ten exposures of a descent, with somebody who walks by, and with a box that stands."""
-    watch, rng, out = MovingWatch(), np.random.default_rng(1), list[tuple[Mover, ...]]()
+    watch, rng, out = MovingWatch(), np.random.default_rng(1), list[tuple[MovingBody, ...]]()
     for k in range(10):
         t = 0.2 * k
         centre = np.array([speed * t, 0.1 * np.sin(t), height - 0.5 * t])

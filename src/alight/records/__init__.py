@@ -40,7 +40,7 @@ from alight.records.motion import (
     KeyframePosterior,
     Motion,
     MotionState,
-    Mover,
+    MovingBody,
     Odometry,
     RefinedMotions,
     View,

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from alight.arrays import F32, F64, U8
 from alight.records.landing import HazardMap, Sites, p_safe_text
-from alight.records.motion import MotionState, Mover
+from alight.records.motion import MotionState, MovingBody
 from alight.records.surface import ElevationMap
 
 
@@ -103,7 +103,7 @@ class Situation:
     lands: bool = False  # whether the autopilot is in its landing mode
     steers: bool = True  # whether that mode leads to the place, else straight down
     offset: F64 | None = None  # (2,) metres, from the map frame to the plane of the autopilot's fence; None: unknown
-    movers: tuple[Mover, ...] = ()  # people and cars that move in the newest picture
+    movers: tuple[MovingBody, ...] = ()  # people and cars that move in the newest picture
 
     @property
     def wind_speed(self) -> float:

@@ -50,7 +50,7 @@ class Odometry:
 
 
 @dataclass(frozen=True, eq=False)
-class Mover:
+class MovingBody:
     """A person or car that moves on the ground, as one exposure shows it."""
 
     place: F64  # (2,) metres east and north, in the map frame
@@ -81,7 +81,7 @@ class Motion:
     )
     gain: F64 | None = None  # (3,) factor of the picture's colours that equalises all pictures
     odometry: Odometry | None = None  # None: not from the filter
-    movers: tuple[Mover, ...] = ()  # people and cars that move in its pictures
+    movers: tuple[MovingBody, ...] = ()  # people and cars that move in its pictures
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ import numpy as np
 
 from alight.arrays import F32, F64
 from alight.raster import grey_levels
-from alight.records import Mover, View
+from alight.records import MovingBody, View
 
 SIDE = 361  # pixels of a levelled picture
 WIDE = 0.75  # tangent of half its field of view, or less (`LevelPicture.of`)
@@ -116,7 +116,8 @@ def unexplained(now: LevelPicture, earlier: Sequence[LevelPicture]) -> Unexplain
             shown = then.warped(now.transfer(then, up) @ np.vstack([correction, [0.0, 0.0, 1.0]]))
             if light is None:
                 light, seen = _light(now, shown), seen & np.isfinite(shown)
-                usual = max(usual, float(np.nanmedian(np.abs(now.grey - light * shown))) if seen.any() else usual)
+                off = np.abs(now.grey - light * shown)[::4, ::4]  # a sixteenth has the same median
+                usual = float(np.nanmax([usual, np.nanmedian(off)])) if np.isfinite(off).any() else usual
             least = np.fmin(least, _excess(now.grey, light * shown))
     return Unexplained(np.where(seen & np.isfinite(least), least, np.float32(0)), usual)
 
@@ -210,7 +211,7 @@ class MovingWatch:
         self._trails: list[_Trail] = []
         self._usual = math.inf  # grey levels, usual difference; it grows slowly, as somebody may fill a picture
 
-    def feed(self, view: View, ground: float) -> tuple[Mover, ...]:
+    def feed(self, view: View, ground: float) -> tuple[MovingBody, ...]:
         """Add the newest view; return the people and cars that move in it. `ground`: ground height, metres."""
         now = LevelPicture.of(view, ground)
         if now.depth <= 0:
@@ -231,7 +232,7 @@ class MovingWatch:
         self._follow(_patches(now, found.excess / np.float32(self._usual)), view.t_ns)
         still = np.zeros(2)
         return tuple(
-            Mover(t.newest.place, still if t.velocity is None else t.velocity, t.newest.reach)
+            MovingBody(t.newest.place, still if t.velocity is None else t.velocity, t.newest.reach)
             for t in self._trails
             if t.t_ns == view.t_ns and t.moves
         )

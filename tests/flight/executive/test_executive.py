@@ -24,7 +24,7 @@ from alight.flight.executive.places import KnownPlaces
 from alight.flight.executive.table import CROSSING, JUDGE_EVERY, TABLE
 from alight.flight.executive.ways import ClearWay, SearchLanes, square_spiral
 from alight.landing.route import Obstructions, way_below
-from alight.records import Flag, Hazard, MotionState, Mover, Sites, Terrain
+from alight.records import Flag, Hazard, MotionState, MovingBody, Sites, Terrain
 from alight.records.executive import FlightEvent, FlightState, MapVerdict, Order, Situation
 from alight.settings import Settings, settings_of_run
 from alight.settings.user import ExecutiveKeys
@@ -411,7 +411,7 @@ def test_somebody_who_comes_to_the_place_stops_a_landing_at_once(
     def come(now: Situation, executive: Executive) -> Situation:
         if executive.state is S.COMMIT and f.position[2] < height and (not seen or not stops):
             seen.append(now.t)
-            return replace(now, movers=(Mover(np.array(place), np.array(velocity), 0.3),))
+            return replace(now, movers=(MovingBody(np.array(place), np.array(velocity), 0.3),))
         return now
 
     f.change = come

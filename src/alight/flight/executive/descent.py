@@ -10,7 +10,7 @@ from statistics import median
 import numpy as np
 
 from alight.flight.executive.places import Opinion, Standing
-from alight.records import Mover, Site
+from alight.records import MovingBody, Site
 from alight.records.executive import Order, Situation
 from alight.settings import ExecutiveSettings, StageSettings
 
@@ -90,7 +90,7 @@ class Descent:
         )
         return f"no verdict for {silent:.1f} s" if late else ""
 
-    def must_stop(self, movers: Sequence[Mover], place: Site, left: float) -> bool:
+    def must_stop(self, movers: Sequence[MovingBody], place: Site, left: float) -> bool:
         """Whether people or cars that move come too near to the site `place` before the vehicle stands on it.
 
         Their velocities are taken to stay. `left`: height above the site, metres; if it is too low, nothing stops it.
@@ -98,7 +98,7 @@ class Descent:
         stops = self._keys.look_again and left >= self._keys.stop_height
         return stops and any(self._is_reached_by(m, place, left) for m in movers)
 
-    def _is_reached_by(self, mover: Mover, place: Site, left: float) -> bool:
+    def _is_reached_by(self, mover: MovingBody, place: Site, left: float) -> bool:
         way, speed = mover.place - [place.east, place.north], float(np.linalg.norm(mover.velocity))
         seconds = left / self._keys.landing_speed
         nearest = float(np.clip(-(way @ mover.velocity) / max(speed**2, 1e-9), 0.0, seconds))  # s from now

@@ -15,7 +15,19 @@ from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.imu_buffer import ImuBuffer
 from alight.pipeline.navigation import Navigation, Trajectory, sparse
 from alight.pipeline.timing import Progress
-from alight.records import Event, Frame, GpsState, ImuSample, Motion, MotionState, Mover, NavSample, Rig, Tracks, View
+from alight.records import (
+    Event,
+    Frame,
+    GpsState,
+    ImuSample,
+    Motion,
+    MotionState,
+    MovingBody,
+    NavSample,
+    Rig,
+    Tracks,
+    View,
+)
 from alight.records.map_frame import in_world
 from alight.settings import StageSettings
 from alight.tracks import MovingWatch, Tracker
@@ -127,7 +139,7 @@ class FilterLane:
         window = self._filter.clone_window()
         return Navigation(batch.frame, motion, None if window is None else window.posterior, self._attitude)
 
-    def _movers(self, frame: Frame, motion: Motion) -> tuple[Mover, ...]:
+    def _movers(self, frame: Frame, motion: Motion) -> tuple[MovingBody, ...]:
         """Return who moves, by the first camera that looks down and has a picture; the filter's points are the ground.
 
         Recordings are not watched.
