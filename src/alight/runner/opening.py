@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -189,9 +189,7 @@ def open_live(
     speed: float = 1.0,
     follow: bool = False,
     rig: Path | None = None,
-    stopped: Callable[[], bool] = lambda: False,
     topics: Mapping[str, str] | None = None,
-    idle: float = 10.0,
 ) -> LiveSource:
     """Open the source of a live run.
 
@@ -200,9 +198,7 @@ def open_live(
         speed: playback speed of a recording; 2 is twice as fast as the flight.
         follow: whether `name` is a folder or a bag that is being filled.
         rig: folder with the calibration of cameras.
-        stopped: called now and then; the events end when it returns True.
         topics: for a ROS bag, as for `open_source`.
-        idle: s without anything new after which a folder or a bag that is being filled is complete.
 
     Raises:
         InputError: the name is no source, or cannot be used; the message names what was looked for.
@@ -212,11 +208,11 @@ def open_live(
     from alight.sources.live import PATIENCE, LiveSource, is_cameras, open_sensors, paced
 
     if follow and not is_cameras(name) and is_growing_bag(Path(name), PATIENCE):
-        bag = open_growing_bag(Path(name), settings, topics or {}, Growth(stopped, idle), PATIENCE)
+        bag = open_growing_bag(Path(name), settings, topics or {}, Growth(idle=10.0), PATIENCE)  # s
         return LiveSource(bag, bag.events(), True)
     if follow or is_cameras(name):
-        return open_sensors(name, settings, rig, stopped, idle)
+        return open_sensors(name, settings, rig)
     source = open_source(name, settings, topics=topics)
     if source.kind != "flight":
         raise InputError(f"{name}: photos have no speed of their own; use alight run")
-    return LiveSource(source, paced(source.events(), speed, stopped), False)
+    return LiveSource(source, paced(source.events(), speed), False)
