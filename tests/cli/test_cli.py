@@ -45,7 +45,7 @@ def alight(*arguments: str | Path, **more: object) -> subprocess.CompletedProces
         (["run"], "Missing argument 'INPUT'; see 'alight run --help'"),
         (["run", "nowhere"], "Missing option '--out'"),
         (["run", "nowhere", "--out", "out", "--speed", "9"], "No such option: --speed"),
-        (["run", "nowhere", "--out", "out"], "nowhere: no such file or folder; give a flight log"),
+        (["run", "nowhere", "--out", "out"], "nowhere: no such folder or file; give a flight log"),
         (["land"], "No such command 'land'"),
         (["--nope"], "No such option: --nope"),
         (["demo", "--seed", "one"], "a whole number"),
@@ -94,7 +94,7 @@ def test_a_mistake_is_one_whole_line_without_a_traceback_in_a_process(tmp_path: 
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr == (
-        f"error: {deep}: no such file or folder; give a flight log (a folder with mav0/), a recording (.mcap), a "
+        f"error: {deep}: no such folder or file; give a flight log (a folder with mav0/), a recording (.mcap), a "
         "ROS bag (.bag, .db3, .mcap), a folder of photos, frames with an autopilot's log (.ulg, .bin, .tlog), or a "
         "video (.mp4) with a .srt or .gpx\n"
     )

@@ -41,7 +41,7 @@ def running(source: Path, *more: str) -> list[str]:
     ("setting", "words"),
     [
         ("lander.radius=true", "not true or false"), ("sites.count=false", "not true or false"),
-        ("lander.radius=1:30", "unable to parse"), ("lander.radius=0x10", "unable to parse"), ("...=5", "key=value"),
+        ("lander.radius=1:30", "must be a number"), ("lander.radius=0x10", "must be a number"), ("...=5", "key=value"),
         ("lander..radius=5", "key=value"),
     ],
 )  # fmt: skip

@@ -837,7 +837,7 @@ def test_two_factory_calibrations(photos: Path) -> None:
 
 
 def test_what_is_no_source(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file or folder; give a flight log"):
+    with pytest.raises(InputError, match="no such folder or file; give a flight log"):
         opened(tmp_path / "nowhere")
     with pytest.raises(InputError, match="the folder is empty"):
         opened(tmp_path)

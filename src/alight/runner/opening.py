@@ -74,7 +74,7 @@ def _open_bag(path: Path, settings: Settings, topics: Mapping[str, str]) -> Sour
 
 def _open(path: Path, settings: Settings, places: Path | None, geoid: Path | None) -> Source:
     if not path.exists():
-        raise InputError(f"{path}: no such file or folder; give {LOOKED_FOR}")
+        raise InputError(f"{path}: no such folder or file; give {LOOKED_FOR}")
     if path.is_file() and path.suffix.lower() == ".mcap":
         from alight.sources.recording import Recording
 
