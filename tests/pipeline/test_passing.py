@@ -12,8 +12,8 @@ from some_run import elevation
 
 from alight.geometry import Grid
 from alight.hazards import assess
-from alight.pipeline.remembered import CELL, NOWHERE, traffic, what_moves, who_came
-from alight.records import ElevationMap, Flag, Hazard, Terrain
+from alight.pipeline.remembered import CELL, NOWHERE, around, traffic, what_moves, who_came
+from alight.records import ElevationMap, Flag, Hazard, MovingBody, Terrain
 from alight.settings import HazardsSettings, Lander
 
 SECOND = 1_000_000_000
@@ -135,6 +135,17 @@ def test_a_person_is_enough_to_be_remembered(side: float, kept: int) -> None:
     assert len(cells) == kept
     if kept:
         np.testing.assert_array_equal(np.sort(cells, axis=0), np.sort([[9, 17], [9, 18], [10, 17], [10, 18]], axis=0))
+
+
+@pytest.mark.parametrize(("away", "kept"), [(0.0, 4), (0.8, 4), (4.0, 0)])
+def test_whoever_came_to_stand_was_seen_to_move(away: float, kept: int) -> None:
+    e = road((4.8, 8.8, 5.2, 9.2))
+    mover = MovingBody(np.array([5.0 + away, 9.0]), np.array([-1.4, 0.0]), 0.3)
+    moved = NOWHERE.with_seen(around([mover], 1.0), 0)
+    came = who_came(e.grid, (e.flags & np.uint16(Flag.MOVING)) != 0)
+    assert len(moved.among(came)) == kept
+    assert not len(NOWHERE.among(came))
+    assert not len(around([], 1.0))
 
 
 @pytest.mark.parametrize(("kind", "kept"), [(Terrain.PAVED, 1), (Terrain.BARE, 0), (Terrain.SHORT_GRASS, 0)])

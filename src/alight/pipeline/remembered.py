@@ -17,7 +17,7 @@ from alight.arrays import F32, F64, I64, U16, Mask
 from alight.geometry import Grid
 from alight.landing.reserve import SIGMAS_OF_TIE
 from alight.raster import cells_as_blocks, upsample, without_specks
-from alight.records import Flag, Terrain, TerrainMap, View, Wire
+from alight.records import Flag, MovingBody, Terrain, TerrainMap, View, Wire
 
 CELL = 0.5  # metres, size of the remembered cells
 SHARE = 0.5  # least covered share of a remembered cell
@@ -40,6 +40,10 @@ class Remembered:
         kept = ~np.isin(_keys(self.cells), _keys(cells))
         times = np.concatenate([self.t_ns[kept], np.full(len(cells), t_ns)])
         return Remembered(np.concatenate([self.cells[kept], cells]), times)
+
+    def among(self, cells: I64) -> I64:
+        """Return those of the cells (M, 2) that are remembered."""
+        return np.asarray(cells[np.isin(_keys(cells), _keys(self.cells))])
 
     def since(self, t_ns: int) -> Remembered:
         """Return a copy with only the cells seen at `t_ns` or later."""
@@ -127,6 +131,16 @@ def who_came(grid: Grid, came: Mask) -> I64:
     """Return the cells (N, 2) that patches of `came` (R, C) touch; patches too small for a person are ignored."""
     share, low = share_covered(grid, without_specks(came, grid.cell, 0.08))  # m^2, shoulders of a person
     return _cells(share > 0, low)
+
+
+def around(movers: Sequence[MovingBody], margin: float) -> I64:
+    """Return the cells (N, 2) within `margin` metres of people and cars that move."""
+    found = [np.zeros((0, 2), np.int64)]
+    for m in movers:
+        cells = math.ceil((m.reach + margin) / CELL)
+        beside = np.stack(np.meshgrid(*[np.arange(-cells, cells + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+        found.append(np.floor(m.place / CELL).astype(np.int64) + beside[np.hypot(*beside.T) <= cells])
+    return np.unique(np.concatenate(found), axis=0)
 
 
 def traffic(passed: Remembered, grid: Grid, land_cover: TerrainMap | None) -> Mask:

@@ -9,7 +9,6 @@ the newest picture is compared with two earlier pictures over planes of all heig
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -207,35 +206,33 @@ class MovingWatch:
     """Finds who moves, in each exposure of a camera that looks down."""
 
     def __init__(self) -> None:
-        self._shown = deque[LevelPicture](maxlen=64)
+        self._shown = list[LevelPicture]()  # the last three that were compared
+        self._movers: tuple[MovingBody, ...] = ()
         self._trails: list[_Trail] = []
         self._usual = math.inf  # grey levels, usual difference; it grows slowly, as somebody may fill a picture
 
     def feed(self, view: View, ground: float) -> tuple[MovingBody, ...]:
-        """Add the newest view; return the people and cars that move in it. `ground`: ground height, metres."""
+        """Add the newest view; return the people and cars that move. `ground`: ground height, metres.
+
+        A view that follows the one before within `APART_NS` is not compared: the movers stay.
+        """
+        if self._shown and 0 <= view.t_ns - self._shown[-1].view.t_ns < APART_NS:
+            return self._movers
         now = LevelPicture.of(view, ground)
-        if now.depth <= 0:
-            return ()
-        earlier, latest = list[LevelPicture](), view.t_ns - APART_NS
-        for p in reversed(self._shown):
-            if p.view.t_ns <= latest and len(earlier) < 2:
-                earlier.append(p)
-                latest = p.view.t_ns - APART_NS
-        while self._shown and self._shown[0].view.t_ns < view.t_ns - 2 * LASTS_NS:
-            self._shown.popleft()
-        self._shown.append(now)
-        found = unexplained(now, earlier) if len(earlier) == 2 else None
+        lasting = [p for p in self._shown if 0 < view.t_ns - p.view.t_ns < LASTS_NS and p.depth > 0]
+        self._shown, self._movers = [*lasting, now][-3:], ()
+        found = unexplained(now, self._shown[-2::-1]) if len(self._shown) == 3 and now.depth > 0 else None
         if found is None:
             self._trails = []
             return ()
         self._usual = min(found.usual, 1.2 * self._usual)
         self._follow(_patches(now, found.excess / np.float32(self._usual)), view.t_ns)
-        still = np.zeros(2)
-        return tuple(
-            MovingBody(t.newest.place, still if t.velocity is None else t.velocity, t.newest.reach)
+        self._movers = tuple(
+            MovingBody(t.newest.place, np.zeros(2) if t.velocity is None else t.velocity, t.newest.reach)
             for t in self._trails
             if t.t_ns == view.t_ns and t.moves
         )
+        return self._movers
 
     def _follow(self, patches: Sequence[_Patch], t_ns: int) -> None:
         """Join each patch to the trail that leads to it, or let it begin a trail."""

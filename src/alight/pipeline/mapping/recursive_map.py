@@ -18,7 +18,7 @@ from alight.pipeline.mapping import NO_HEIGHT, FinishedMap, MapSnapshot, map_at_
 from alight.pipeline.mapping.ground_map import GroundMap, refuse_too_large
 from alight.pipeline.mapping.keyframes import FrameStore, Keyframe, bounds, is_keyframe, looking_down, views_of
 from alight.pipeline.navigation import Navigation, Trajectory
-from alight.pipeline.remembered import NOWHERE, Remembered, what_moves, who_came
+from alight.pipeline.remembered import NOWHERE, Remembered, around, what_moves, who_came
 from alight.pipeline.timing import Progress, Timings
 from alight.records import (
     ElevationMap,
@@ -52,6 +52,7 @@ class RecursiveMap(GroundMap):
     level: int = 0  # level of the newest keyframe's cells
     passed: Remembered = NOWHERE  # cells that moving objects crossed, in the map frame
     came: Remembered = NOWHERE  # cells where a person or object came to stand, in the map frame
+    moved: Remembered = NOWHERE  # cells near which pictures showed somebody who moves, in the map frame
     estimator: RecursiveParallax | None = None
 
     @property
@@ -89,6 +90,7 @@ class RecursiveMap(GroundMap):
         self.ground_here = None if self.ground_here is None else self.ground_here + float(shift[2])
         self.estimator, self.datum, self.out_of_range = None, None, False
         self.passed, self.came = self.passed.moved(shift, sigma), self.came.moved(shift, sigma)
+        self.moved = self.moved.moved(shift, sigma)
         return mapped
 
     def step(self, views: Sequence[View], poses: KeyframePosterior | None = None, effort: int = 0) -> bool:
@@ -154,11 +156,21 @@ class RecursiveMap(GroundMap):
         if height >= keys.traffic_height and keys.traffic_memory > 0:
             self.passed = self.passed.with_seen(what_moves(grid, flags, anew), t_ns)
 
+    def note_movers(self, motion: Motion) -> None:
+        """Remember where people and cars move in an exposure."""
+        keys = self.settings.hazards
+        if len(cells := around(motion.movers, keys.traffic_margin)):
+            self.moved = self.moved.since(motion.t_ns - round(keys.came_memory * 1e9)).with_seen(cells, motion.t_ns)
+
     def _note_who_came(self, estimator: RecursiveParallax, t_ns: int) -> None:
-        """Remember the cells on which a person or object came to stand in the estimator's last step, `t_ns` (G6c)."""
-        self.came = self.came.since(t_ns - round(self.settings.hazards.came_memory * 1e9))
+        """Remember the cells on which a person or object came to stand in the estimator's last step, `t_ns` (G6c).
+
+        Only those who were seen to move count: plants that sway and errors of the poses make views disagree, too.
+        """
+        since = t_ns - round(self.settings.hazards.came_memory * 1e9)
+        self.came, self.moved = self.came.since(since), self.moved.since(since)
         for grid, came in estimator.came:
-            self.came = self.came.with_seen(who_came(grid, came), t_ns)
+            self.came = self.came.with_seen(self.moved.among(who_came(grid, came)), t_ns)
 
     def under(self, views: Sequence[View], about: F64 | None = None) -> ElevationMap | None:
         """Return the map of the ground in the views, and around `about`, (2,) metres; None if nothing trusted was seen.
@@ -250,6 +262,7 @@ class RecursiveMapper:
             return 0
         if not self._follows(MapFrame.of(motion), motion.t_ns):
             return 0
+        self._map.note_movers(motion)
         if not is_keyframe(motion, self.store.last, self._map.ground_height, self._first_step, self._settings):
             return 0
         self.store.keep(navigation.frame, motion)

@@ -98,6 +98,7 @@ class FilterLane:
         noise = settings.motion.filter if history else settings.motion.filter.model_copy(update={"smooth": False})
         if noise.mounting_sigma is None and not photos:
             noise = noise.model_copy(update={"mounting_sigma": 0.0})
+        self._photos = photos
         self._rig, self._tracks, self._settings, self._anew = rig, settings.tracks, noise, set(anew)
         self._most = None if history else 1  # number of motions that are kept
         self._batcher = EventBatcher()
@@ -140,12 +141,9 @@ class FilterLane:
         return Navigation(batch.frame, motion, None if window is None else window.posterior, self._attitude)
 
     def _movers(self, frame: Frame, motion: Motion) -> tuple[MovingBody, ...]:
-        """Return who moves, by the first camera that looks down and has a picture; the filter's points are the ground.
-
-        Recordings are not watched.
-        """
+        """Return who moves, by the first camera that looks down and has a picture. The landmarks are the ground."""
         state = self._filter.state
-        if self._most is None or state is None or not len(state.landmarks):
+        if self._photos or state is None or not len(state.landmarks):
             return ()
         if motion.frame_id != self._watched_frame:
             self._watch, self._watched_frame = MovingWatch(), motion.frame_id
