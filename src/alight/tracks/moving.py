@@ -17,15 +17,17 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from alight.arrays import F32, F64
+from alight.arrays import F32, F64, U8, U16
 from alight.raster import grey_levels
 from alight.records import MovingBody, View
 
-SIDE = 361  # pixels of a levelled picture
+SIDE = 360  # pixels of a levelled picture, a multiple of 8
 WIDE = 0.75  # tangent of half its field of view, or less (`LevelPicture.of`)
 FINE = 0.06  # metres on the ground, of pixels that show a person
 APART_NS = 150_000_000  # least time between two pictures that are compared
 LASTS_NS = 600_000_000  # time for which a trail is kept without a new patch
+STEPS, UNSEEN = 128, 65535  # steps of a grey level; where a picture shows nothing
+WARP = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 PLANES, STEP_PX = 24, 2.0  # most planes of a comparison; pixels between two of them
 TALL = 0.6  # share of the camera's height up to which things may stand
 LIGHT = 0.1  # largest change of the log brightness between two pictures that a cloud's shadow makes
@@ -63,6 +65,18 @@ class LevelPicture:
         grey = cv2.remap(image.astype(np.float32), pixels, None, cv2.INTER_LINEAR, borderValue=np.nan)
         return np.asarray(grey, np.float32)
 
+    @cached_property
+    def corners(self) -> F32:
+        """(N, 1, 2) pixels (column, row) of corners that can be followed into another picture."""
+        grey = np.nan_to_num(self.grey).clip(0, 255).astype(np.uint8)
+        points = cv2.goodFeaturesToTrack(grey, 300, 0.005, 8, mask=_inner(self.grey))
+        return np.empty((0, 1, 2), np.float32) if points is None else np.asarray(points, np.float32)
+
+    @cached_property
+    def levels(self) -> U16:
+        """(SIDE, SIDE) grey levels in steps of 1 / STEPS, UNSEEN outside the view."""
+        return np.where(np.isfinite(self.grey), self.grey * STEPS, UNSEEN).astype(np.uint16)
+
     def transfer(self, then: LevelPicture, up: float) -> F64:
         """Return the (2, 3) affine map from pixels of this picture to those of `then`, of a plane `up` metres high."""
         now, before, middle = self.view.centre, then.view.centre, 0.5 * (SIDE - 1)
@@ -72,9 +86,14 @@ class LevelPicture:
         return np.array([[scale, 0.0, rest + east], [0.0, scale, rest - north]])
 
     def warped(self, transfer: F64) -> F32:
-        """Return this picture in the pixels of another one; `transfer`: (2, 3), from those to its own."""
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        return np.asarray(cv2.warpAffine(self.grey, transfer, (SIDE, SIDE), flags=flags, borderValue=np.nan))
+        """Return the grey levels in the pixels of another picture; `transfer`: (2, 3), from those to its own."""
+        return np.asarray(cv2.warpAffine(self.grey, transfer, (SIDE, SIDE), flags=WARP, borderValue=np.nan))
+
+    def excess(self, levels: U16, transfer: F64) -> U16:
+        """Return how far `levels` of another picture lie beyond all levels of this one within a pixel."""
+        shown = cv2.warpAffine(self.levels, transfer, (SIDE, SIDE), flags=WARP, borderValue=UNSEEN)
+        high, low = cv2.dilate(shown, np.ones((3, 3), np.uint8)), cv2.erode(shown, np.ones((3, 3), np.uint8))
+        return np.asarray(cv2.max(cv2.subtract(levels, high), cv2.subtract(low, levels)), np.uint16)
 
 
 @cache
@@ -109,43 +128,51 @@ def unexplained(now: LevelPicture, earlier: Sequence[LevelPicture]) -> Unexplain
     for then in earlier:
         if (planes := planes_between(now, then)) is None:
             return None
-        correction = registration(now.grey, then.warped(now.transfer(then, planes[0])))
-        light = None
+        ground = now.transfer(then, planes[0])
+        correction = np.vstack([registration(now, then.warped(ground)), [0.0, 0.0, 1.0]])
+        shown = then.warped(ground @ correction)
+        seen &= np.isfinite(shown)
+        light = _light(now, shown)
+        off = np.abs(now.grey - light * shown)[::4, ::4]  # a sixteenth has the same median
+        usual = float(np.nanmax([usual, np.nanmedian(off)])) if np.isfinite(off).any() else usual
+        levels = np.nan_to_num(now.grey / light * STEPS).clip(0, UNSEEN).astype(np.uint16)
+        own = np.full_like(levels, UNSEEN)
         for up in planes:
-            shown = then.warped(now.transfer(then, up) @ np.vstack([correction, [0.0, 0.0, 1.0]]))
-            if light is None:
-                light, seen = _light(now, shown), seen & np.isfinite(shown)
-                off = np.abs(now.grey - light * shown)[::4, ::4]  # a sixteenth has the same median
-                usual = float(np.nanmax([usual, np.nanmedian(off)])) if np.isfinite(off).any() else usual
-            least = np.fmin(least, _excess(now.grey, light * shown))
-    return Unexplained(np.where(seen & np.isfinite(least), least, np.float32(0)), usual)
+            own = cv2.min(own, then.excess(levels, now.transfer(then, up) @ correction))
+        least = np.minimum(least, own * light / STEPS)
+    return Unexplained(np.where(seen, least, np.float32(0)), usual)
 
 
-def registration(now: F32, before: F32) -> F64:
-    """Return the (2, 3) affine map from pixels of a picture to those of the same ground in another.
+def registration(now: LevelPicture, before: F32) -> F64:
+    """Return the (2, 3) affine map from pixels of a picture to those of the same ground in another, (SIDE, SIDE).
 
     It corrects the errors of both poses and the slope of the ground; without features it changes nothing.
     """
     unchanged = np.eye(2, 3)
-    one, two = (np.nan_to_num(p).clip(0, 255).astype(np.uint8) for p in (now, before))
-    both = cv2.erode((np.isfinite(now) & np.isfinite(before)).astype(np.uint8), np.ones((9, 9), np.uint8))
-    points = cv2.goodFeaturesToTrack(one, 300, 0.005, 8, mask=both)
-    if points is None:
+    at = now.corners[:, 0].astype(int)
+    points = now.corners[_inner(before)[at[:, 1], at[:, 0]] > 0]
+    if len(points) < 12:  # twice the numbers of an affine map
         return unchanged
+    one, two = (np.nan_to_num(p).clip(0, 255).astype(np.uint8) for p in (now.grey, before))
     moved, ok, _ = cv2.calcOpticalFlowPyrLK(one, two, points, np.empty(0), winSize=(13, 13), maxLevel=2)
     good = ok.ravel() == 1
-    if good.sum() < 12:  # twice the numbers of an affine map
+    if good.sum() < 12:
         return unchanged
     found, _ = cv2.estimateAffine2D(points[good], moved[good], ransacReprojThreshold=1.0)
     return unchanged if found is None else np.asarray(found, np.float64)
+
+
+def _inner(grey: F32) -> U8:
+    """Return where a picture is known for 4 pixels around, (SIDE, SIDE) 0 or 1."""
+    return np.asarray(cv2.erode(np.isfinite(grey).astype(np.uint8), np.ones((9, 9), np.uint8)), np.uint8)
 
 
 def _light(now: LevelPicture, shown: F32) -> F32:
     """Return the factor of the light between two pictures, (SIDE, SIDE), smooth over a few metres: clouds drift."""
     known, small = np.isfinite(now.grey) & np.isfinite(shown), (SIDE // 8, SIDE // 8)
     one, two, share = (
-        cv2.resize(np.where(known, p, 0).astype(np.float32), small, interpolation=cv2.INTER_AREA)
-        for p in (now.grey, shown, np.ones_like(shown))
+        cv2.resize(np.where(known, p, np.float32(0)), small, interpolation=cv2.INTER_AREA)
+        for p in (now.grey, shown, np.float32(1))
     )
     whole, factor = share > 0.5, np.log((one + 1) / (two + 1))
     common = float(np.median(factor[whole])) if whole.any() else 0.0
@@ -153,12 +180,6 @@ def _light(now: LevelPicture, shown: F32) -> F32:
     width = 2.5 * now.focal / now.depth / 8  # 2.5 m
     apart, share = (cv2.GaussianBlur(p, (0, 0), width) for p in (apart, whole.astype(np.float32)))
     return np.asarray(cv2.resize(np.exp(common + apart / np.maximum(share, 0.1)), (SIDE, SIDE)), np.float32)
-
-
-def _excess(now: F32, shown: F32) -> F32:
-    around = np.ones((3, 3), np.uint8)
-    high, low = cv2.dilate(shown, around), cv2.erode(shown, around)
-    return np.asarray(np.maximum(np.maximum(now - high, low - now), 0))
 
 
 class _Patch(NamedTuple):
