@@ -96,7 +96,10 @@ def truth_rows(name: str, run: Run, path: Path) -> list[Row]:
     points = np.c_[moved[given, :2], true[given]]
     left = plane_of(points, moved[given, 2] - points[:, 2])[1]
     above = float(z["above"])
+    common = json.loads((run.folder / "run.json").read_text())["common_error"]
+    tilt = float(np.linalg.norm(turn[2, :2] / common["tilt_sigma_rad"]))
     return [
+        Row(f"{name}: tilt of the whole survey, in its claimed sigmas", tilt, 3.0, 2.0),
         Row(f"{name}: given out of the cells seen by three photos, %", 100 * float(np.isfinite(up).mean())),
         Row(f"{name}: NMAD less a plane, % of height", 100 * nmad(left) / above, *NMAD.get(name, (None, None))),
         Row(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from length import first
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip("pycolmap")
 
@@ -52,8 +53,8 @@ class Scene:
     observations: BundleObservations
 
 
-def flight(strips: int, photos: int) -> tuple[F64, F64]:
-    """Nadir photos at 40 m, neighbouring strips flown there and back."""
+def flight(strips: int, photos: int, pitch: float = -np.pi / 2) -> tuple[F64, F64]:
+    """Photos at 40 m, down unless `pitch` is given, neighbouring strips flown there and back."""
     rng = np.random.default_rng(5)
     centres, body = [], []
     for s in range(strips):
@@ -61,7 +62,7 @@ def flight(strips: int, photos: int) -> tuple[F64, F64]:
             along = 6.0 * (k if s % 2 == 0 else photos - 1 - k)
             centres.append(np.array([along, 11.0 * s, 40.0]) + rng.normal(0, 0.4, 3))
             yaw = np.pi / 2 if s % 2 == 0 else -np.pi / 2
-            body.append(so3_exp(rng.normal(0, 0.02, 3)) @ enu_from_flu(yaw, -np.pi / 2, 0.0))
+            body.append(so3_exp(rng.normal(0, 0.02, 3)) @ enu_from_flu(yaw, pitch, 0.0))
     return np.array(centres), np.array(body)
 
 
@@ -71,10 +72,17 @@ def a_photo(pixels: F64, colours: F64 | None = None) -> PhotoFeatures:
     return PhotoFeatures(pixels, np.empty((len(pixels), 128), np.uint8), grey.astype(np.float32))
 
 
-def scene(strips: int = 2, photos: int = 6, noise: float = 0.0, wrong: float = 0.0, camera: Camera = CAMERA) -> Scene:
+def scene(
+    strips: int = 2,
+    photos: int = 6,
+    noise: float = 0.0,
+    wrong: float = 0.0,
+    camera: Camera = CAMERA,
+    pitch: float = -np.pi / 2,
+) -> Scene:
     """Photos of random points over relief; a share of the matches is wrong."""
     rng = np.random.default_rng(11)
-    centres, body = flight(strips, photos)
+    centres, body = flight(strips, photos, pitch)
     xy = rng.uniform([-15, -13], [6.0 * photos + 10, 11.0 * strips + 5], (1500, 2))
     points = np.column_stack([xy, 2.5 * np.sin(xy[:, 0] / 5) + rng.normal(0, 0.4, len(xy))])
     features, ids = [], []
@@ -269,6 +277,17 @@ def test_without_attitude_the_pictures_and_gps_suffice(noisy: Scene) -> None:
     priors = told(noisy, lens="held")
     out = solved(noisy, replace(priors, world_from_body=np.full_like(priors.world_from_body, np.nan)))
     assert errors(noisy, out)[1] < GPS_TURN
+
+
+def test_oblique_photos_without_attitude_fit_gps_as_a_whole() -> None:
+    s = scene(strips=4, noise=0.4, pitch=-np.radians(55))
+    told_without = replace(told(s, sigma=1.0), world_from_body=np.full_like(s.body, np.nan))
+    out = solved(s, told_without)
+    found, gps = (c - c.mean(axis=0) for c in (out.state.centres, told_without.centres))
+    # the best scale and rotation of the whole survey towards GPS are none
+    turn, _ = Rotation.align_vectors(gps, found)
+    assert turn.magnitude() < np.radians(0.1)
+    assert (found * gps).sum() / (found**2).sum() == pytest.approx(1.0, abs=1e-3)
 
 
 def test_a_photo_without_gps_and_one_with_a_jump(noisy: Scene) -> None:

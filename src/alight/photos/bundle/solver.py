@@ -6,7 +6,7 @@ flight. Equation numbers: docs/method/bundle.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from alight.arrays import F64, I64
-from alight.geometry import so3_exp, so3_log
+from alight.geometry import skew, so3_exp, so3_log
 from alight.motion.ekf.state_kernels import mirror_lower
 from alight.motion.points import WEAK_PRIOR
 from alight.motion.robust import cauchy, huber
@@ -140,7 +140,7 @@ class Adjustment:
         self.each = 12 if priors.sigma_turn > 0 else 6  # unknowns per photo: position, rotation, turns
         self.poses = self.each * len(priors.centres)  # unknowns of all photos; the unknowns of the lenses follow
         self.size = self.poses + len(self.free) + 3 * (priors.sigma_mounting > 0)
-        self._starts = np.append(obs.starts, len(obs.point))
+        self._starts, self._seen = np.append(obs.starts, len(obs.point)), np.unique(obs.photo)
 
     def cost(self, state: BundleState) -> float:
         """Return the robust cost of observations and priors."""
@@ -234,12 +234,44 @@ class Adjustment:
             state.turns + pose[:, 6:].reshape(-1, 2, 3) if self.each > 6 else state.turns,
         )
 
+    def aligned(self, state: BundleState) -> BundleState:
+        """Return the state moved as a whole, by the scale, rotation and shift that fit the priors best (Gauss-Newton).
+
+        No pixel changes. Damped steps of single poses hardly move the whole: a survey stayed tilted by 10 degrees.
+        """
+        pr, seen, cost = self.priors, self._seen, _prior_cost(state, self.priors)
+        while True:
+            middle = state.centres[seen].mean(axis=0)
+            way, off = state.centres[seen] - middle, (state.centres - pr.centres)[seen] / pr.sigma_centres[seen]
+            g = np.nan_to_num(off)
+            w = np.sqrt(huber((g**2).sum(axis=1), _PRIOR_LOSS)[0])[:, None]
+            moves = np.concatenate([way[:, :, None], -skew(way), np.tile(np.eye(3), (len(way), 1, 1))], axis=2)
+            moves *= (w * np.isfinite(off) / pr.sigma_centres[seen])[:, :, None]
+            who, a, _ = _attitude(state, pr)
+            a = (a / pr.sigma_rotation[who])[np.isin(who, seen)]
+            who = np.intersect1d(who, seen)
+            v = np.sqrt(huber((a**2).sum(axis=1), _PRIOR_LOSS)[0])[:, None]
+            turns = (v / pr.sigma_rotation[who])[:, :, None] * np.eye(3, 7, 1)
+            rows = np.concatenate([moves.reshape(-1, 7), turns.reshape(-1, 7)])
+            x = np.linalg.lstsq(rows, -np.concatenate([(w * g).ravel(), (v * a).ravel()]), rcond=1e-6)[0]
+            similarity = np.exp(np.clip(x[0], -1.0, 1.0)) * so3_exp(x[1:4])
+            centres, rotations = state.centres.copy(), state.rotations.copy()
+            centres[seen] = way @ similarity.T + middle + x[4:]
+            rotations[seen] = so3_exp(x[1:4]) @ rotations[seen]
+            points = (state.points - middle) @ similarity.T + middle + x[4:]
+            trial = replace(state, centres=centres, rotations=rotations, points=points)
+            new = _prior_cost(trial, pr)
+            if not new < cost * (1 - 1e-6):
+                return state
+            state, cost = trial, new
+
     def solve(self, state: BundleState, iterations: int, tolerance: float = 1e-7) -> BundleState:
         """Do up to `iterations` Levenberg-Marquardt steps, until the cost decreases by a share below `tolerance`."""
+        state = self.aligned(state)
         damping, cost, equations = 1e-5, self.cost(state), self.linearise(state)
         for _ in range(iterations):
             try:
-                trial = self.step(state, equations, damping)
+                trial = self.aligned(self.step(state, equations, damping))
                 new = self.cost(trial)
             except (np.linalg.LinAlgError, ValueError):
                 new = np.inf
