@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from alight.arrays import F64, I64
@@ -140,7 +141,12 @@ class Adjustment:
         self.each = 12 if priors.sigma_turn > 0 else 6  # unknowns per photo: position, rotation, turns
         self.poses = self.each * len(priors.centres)  # unknowns of all photos; the unknowns of the lenses follow
         self.size = self.poses + len(self.free) + 3 * (priors.sigma_mounting > 0)
-        self._starts, self._seen = np.append(obs.starts, len(obs.point)), np.unique(obs.photo)
+        self._starts, n = np.append(obs.starts, len(obs.point)), len(priors.centres)
+        graph = sparse.coo_array((np.ones(len(obs.photo)), (obs.photo, n + obs.point)), shape=(n + obs.points,) * 2)
+        group = connected_components(graph, directed=False)[1]
+        self._groups = [
+            (np.flatnonzero(group[:n] == k), np.flatnonzero(group[n:] == k)) for k in np.unique(group[obs.photo])
+        ]
 
     def cost(self, state: BundleState) -> float:
         """Return the robust cost of observations and priors."""
@@ -235,41 +241,19 @@ class Adjustment:
         )
 
     def aligned(self, state: BundleState) -> BundleState:
-        """Return the state moved as a whole, by the scale, rotation and shift that fit the priors best (Gauss-Newton).
+        """Return the state with each group of connected photos moved as a whole so that it fits the priors best.
 
         No pixel changes. Damped steps of single poses hardly move the whole: a survey stayed tilted by 10 degrees.
         """
-        pr, seen, cost = self.priors, self._seen, _prior_cost(state, self.priors)
-        while True:
-            middle = state.centres[seen].mean(axis=0)
-            way, off = state.centres[seen] - middle, (state.centres - pr.centres)[seen] / pr.sigma_centres[seen]
-            g = np.nan_to_num(off)
-            w = np.sqrt(huber((g**2).sum(axis=1), _PRIOR_LOSS)[0])[:, None]
-            moves = np.concatenate([way[:, :, None], -skew(way), np.tile(np.eye(3), (len(way), 1, 1))], axis=2)
-            moves *= (w * np.isfinite(off) / pr.sigma_centres[seen])[:, :, None]
-            who, a, _ = _attitude(state, pr)
-            a = (a / pr.sigma_rotation[who])[np.isin(who, seen)]
-            who = np.intersect1d(who, seen)
-            v = np.sqrt(huber((a**2).sum(axis=1), _PRIOR_LOSS)[0])[:, None]
-            turns = (v / pr.sigma_rotation[who])[:, :, None] * np.eye(3, 7, 1)
-            rows = np.concatenate([moves.reshape(-1, 7), turns.reshape(-1, 7)])
-            x = np.linalg.lstsq(rows, -np.concatenate([(w * g).ravel(), (v * a).ravel()]), rcond=1e-6)[0]
-            similarity = np.exp(np.clip(x[0], -1.0, 1.0)) * so3_exp(x[1:4])
-            centres, rotations = state.centres.copy(), state.rotations.copy()
-            centres[seen] = way @ similarity.T + middle + x[4:]
-            rotations[seen] = so3_exp(x[1:4]) @ rotations[seen]
-            points = (state.points - middle) @ similarity.T + middle + x[4:]
-            trial = replace(state, centres=centres, rotations=rotations, points=points)
-            new = _prior_cost(trial, pr)
-            if not new < cost * (1 - 1e-6):
-                return state
-            state, cost = trial, new
+        for photos, points in self._groups:
+            state = _moved_to_priors(state, self.priors, photos, points)
+        return state
 
     def solve(self, state: BundleState, iterations: int, tolerance: float = 1e-7) -> BundleState:
-        """Do up to `iterations` Levenberg-Marquardt steps, until the cost decreases by a share below `tolerance`."""
+        """Do up to `iterations` Levenberg-Marquardt steps that lower the cost, until one does by a share below `tolerance`."""
         state = self.aligned(state)
         damping, cost, equations = 1e-5, self.cost(state), self.linearise(state)
-        for _ in range(iterations):
+        while iterations and damping < 1e6:
             try:
                 trial = self.aligned(self.step(state, equations, damping))
                 new = self.cost(trial)
@@ -277,11 +261,9 @@ class Adjustment:
                 new = np.inf
             if new > cost:
                 damping *= 10.0
-                if damping > 1e6:
-                    break
                 continue
             done = cost - new < tolerance * cost
-            state, cost, damping = trial, new, max(damping / 10.0, 1e-12)
+            state, cost, damping, iterations = trial, new, max(damping / 10.0, 1e-12), iterations - 1
             if done:
                 break
             equations = self.linearise(state)
@@ -296,6 +278,38 @@ class Adjustment:
         lens = self.poses + np.flatnonzero(~np.isin(self.free, self.priors.lenses.readout_numbers))
         of = np.concatenate([self._of_photos(6).ravel(), lens])
         return np.asarray(C[np.ix_(of, of)])
+
+
+def _moved_to_priors(state: BundleState, priors: Priors, photos: I64, points: I64) -> BundleState:
+    """Return the state with `photos` and `points` moved by the scale, rotation and shift of least cost by the priors.
+
+    Gauss-Newton on eqs. 4 and 5.
+    """
+    cost, sigma = _prior_cost(state, priors), priors.sigma_centres[photos]
+    while True:
+        middle = state.centres[photos].mean(axis=0)
+        way, off = state.centres[photos] - middle, (state.centres - priors.centres)[photos] / sigma
+        g = np.nan_to_num(off)
+        w = np.sqrt(huber((g**2).sum(axis=1), _PRIOR_LOSS)[0])[:, None]
+        moves = np.concatenate([way[:, :, None], -skew(way), np.tile(np.eye(3), (len(way), 1, 1))], axis=2)
+        moves *= (w * np.isfinite(off) / sigma)[:, :, None]
+        who, a, _ = _attitude(state, priors)
+        own = np.isin(who, photos)
+        a = a[own] / (spread := priors.sigma_rotation[who[own]])
+        v = np.sqrt(huber((a**2).sum(axis=1), _PRIOR_LOSS)[0])[:, None]
+        turns = (v / spread)[:, :, None] * np.eye(3, 7, 1)
+        rows = np.concatenate([moves.reshape(-1, 7), turns.reshape(-1, 7)])
+        x = np.linalg.lstsq(rows, -np.concatenate([(w * g).ravel(), (v * a).ravel()]), rcond=1e-6)[0]
+        turn = so3_exp(x[1:4])
+        similarity, shift = np.exp(np.clip(x[0], -1.0, 1.0)) * turn, middle + x[4:]
+        trial = replace(state, **{k: getattr(state, k).copy() for k in ("centres", "rotations", "points")})
+        trial.centres[photos] = way @ similarity.T + shift
+        trial.rotations[photos] = turn @ trial.rotations[photos]
+        trial.points[points] = (trial.points[points] - middle) @ similarity.T + shift
+        new = _prior_cost(trial, priors)
+        if not new < cost * (1 - 1e-6):
+            return state
+        state, cost = trial, new
 
 
 def covariance_of(S: F64) -> F64:
