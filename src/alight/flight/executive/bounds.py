@@ -42,6 +42,8 @@ class Bounds:
         self._disc, margin = settings.lander.reach, settings.executive.fence_margin
         self._on_way, self._at_end = self._disc + 0.5 * margin, self._disc + margin  # m of room
         self.search_height = settings.executive.search_height  # metres above the ground, of the present search
+        # m: the lowest search, and over what is in doubt; maps seek trees half as high
+        self.lowest = max(2.0 * settings.mapping.trees, settings.executive.commit_height)
         self._arrived = settings.executive.arrived
         self._reach = 2.0 * settings.executive.search_side
         self._fence, self._zones = fence, zones.around(self._start, self._reach)

@@ -46,7 +46,6 @@ class Search:
         self._keys, self._margin = settings.executive, settings.sites.margin
         self._places, self._clear_way, self._limits = places, clear_way, limits
         self._share = settings.route.look_share
-        self._lowest = max(2.0 * settings.mapping.trees, self._keys.commit_height)  # m: maps seek trees half as high
         self.goals: list[Goal] = []
         self._lanes: SearchLanes | None = None
         self._above_at: float | None = None  # s, when the vehicle was first above the goal
@@ -87,7 +86,7 @@ class Search:
             if self._over_at is None or not self._is_judged(now, self._over_at, seen):
                 return SearchStep(way=lanes.end(ground))
         bounds = self._clear_way.bounds
-        if found is None and ground is not None and self._share * bounds.search_height >= self._lowest:
+        if found is None and ground is not None and self._share * bounds.search_height >= bounds.lowest:
             before, bounds.search_height = bounds.search_height, self._share * bounds.search_height
             self._over_at, self._lanes, self._sinks = None, SearchLanes(home, self._keys, bounds), True
             why = f"no place is left from {before:.0f} m, so the search goes on from {bounds.search_height:.0f} m"

@@ -21,8 +21,8 @@ NEARER = 0.5  # m, least progress towards a point
 class ClearWay:
     """Finds paths that are within `bounds`, and clear of the obstacles on the newest map.
 
-    A path over obstacles of doubtful height is flown at the search height or higher: a map once showed 3 m for most of
-    a tree of 10 m, and a landing flew into it. The same holds for a long path over partly unmapped ground.
+    A path over obstacles of doubtful height is flown at the height of the lowest search or higher: a map once showed 3 m
+    for most of a tree of 10 m, and a landing flew into it. The same holds for a long path over partly unmapped ground.
     """
 
     def __init__(self, settings: StageSettings) -> None:
@@ -44,7 +44,8 @@ class ClearWay:
         below = way_below(start, to, grid, self._obstructions_of(seen), self._clearance, self._beside, k.rise)
         is_long = math.hypot(to[0] - start[0], to[1] - start[1]) > self._long
         unsure = below.doubtful > k.risen or (is_long and below.unmapped > k.unmapped)
-        return max(below.clear, seen.ground + self.bounds.search_height) if unsure and not at_a_place else below.clear
+        sure = seen.ground + min(self.bounds.search_height, self.bounds.lowest)
+        return max(below.clear, sure) if unsure and not at_a_place else below.clear
 
     def is_free(self, start: F64, to: F64, ground: float, seen: MapVerdict, times: float = 1.0) -> bool:
         """Whether a level path from `start` to `to`, (3,) metres, near a location is free and within bounds.
