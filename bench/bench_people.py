@@ -1,6 +1,6 @@
 """Moving people and cars, drawn from 30 m down to 1 m: how many are found within half a second, and false alarms.
 
-    python bench/bench_people.py [FAMILIES [SEEDS]]       # such as: car_park,gravel 1,2
+    python bench/bench_people.py [FAMILIES [SEEDS [WIDTH [HEIGHTS]]]]       # such as: car_park,gravel 1,2 640 30,15
 
 Each short descent over a safe place is drawn three times: with a person or a car that comes into the picture, and
 without anybody. The drawn sequences are kept in `out/bench-people`.
@@ -21,6 +21,7 @@ from alight.arrays import F64, U8
 from alight.geometry import Pose, so3_exp
 from alight.records import Frame, Rig, View
 from alight.tracks import MovingWatch
+from alight.tracks.moving import SIDE, LevelPicture
 from alight.trials.campaign.flying import lit_world
 from alight.trials.campaign.plan import drawn_light
 from alight.trials.campaign.worlds import campaign_world
@@ -29,9 +30,9 @@ from alight_sim.oracle import OracleLander, safe_places
 from alight_sim.point_mass import Wanted
 from alight_sim.steered import SteeredFlight
 
-HEIGHTS = (30.0, 15.0, 8.0, 4.0, 2.0, 1.0)  # metres above the ground, in the middle of a sequence
+HEIGHTS = "30,15,8,4,2,1"  # metres above the ground, in the middle of a sequence
 KINDS = ("nobody", "person", "car")
-FAMILIES, SEEDS = "plaza,park,stubble,heath,thaw", "31,32"  # not looked at while the method was built
+FAMILIES, SEEDS, WIDTH = "plaza,park,stubble,heath,thaw", "31,32", "320"  # not looked at while the method was built
 SECONDS = 4.0  # length of a sequence
 WITHIN = 0.5  # s
 POSITION, TURN = 0.004, 0.001  # 1-sigma of the drawn errors of poses: share of the height, rad
@@ -48,7 +49,7 @@ class DrawnDescent:
     true: tuple[Pose, ...]
 
 
-def drawn(family: str, seed: int, height: float, kind: str) -> DrawnDescent:
+def drawn(family: str, seed: int, height: float, kind: str, width: int) -> DrawnDescent:
     """Draw a sequence; the same arguments give the same bits, except for the person or car."""
     rng = np.random.default_rng([seed, round(height * 10), len(family), *family.encode()])
     world = lit_world(campaign_world(family).build(seed), drawn_light(rng))
@@ -61,7 +62,7 @@ def drawn(family: str, seed: int, height: float, kind: str) -> DrawnDescent:
     up = height + 0.5 * SECONDS * speed
     flight = SteeredFlight(
         world, seed, stereo=False, start=(east, north, max(up, height + 0.2)), heading=rng.uniform(0, 6.28),
-        wind=(*rng.uniform(-4, 4, 2), 0.0), gusts=0.4,
+        wind=(*rng.uniform(-4, 4, 2), 0.0), gusts=0.4, size=(width, 3 * width // 4),
     )  # fmt: skip
     ground = world.height_at(east, north)
     least = ground + 0.8 * min(height, 1.0) + flight.standing
@@ -94,23 +95,28 @@ def drawn(family: str, seed: int, height: float, kind: str) -> DrawnDescent:
     return DrawnDescent(flight.rig, tuple(frames), ground, way, tuple(true))
 
 
-def kept(family: str, seed: int, height: float, kind: str) -> DrawnDescent:
+def kept(family: str, seed: int, height: float, kind: str, width: int) -> DrawnDescent:
     """Return a sequence that was drawn before, or draw it."""
-    path = ROOT / "out" / "bench-people" / f"{family}-{seed}-{height:g}-{kind}.pickle"
+    path = ROOT / "out" / "bench-people" / f"{family}-{seed}-{height:g}-{kind}-{width}.pickle"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(pickle.dumps(drawn(family, seed, height, kind)))
+        path.write_bytes(pickle.dumps(drawn(family, seed, height, kind, width)))
     return pickle.loads(path.read_bytes())
 
 
 def judged(q: DrawnDescent) -> tuple[bool, float, int]:
-    """Return whether somebody is in view, the delay until he is found in s, and exposures with a false alarm."""
+    """Return whether somebody comes near, the delay until he is found in s, and exposures with a false alarm.
+
+    Near is what the watch looks at: the part of a picture that lies within about 11 m of the point below the vehicle.
+    """
     watch, lens = MovingWatch(), q.rig.cameras[0].camera
     begun, delay, false = None, math.inf, 0
     for (t_ns, image, pose), true, way in zip(q.frames, q.true, q.way, strict=True):
-        found = watch.feed(View(t_ns, 0, image, lens, pose), q.ground)
+        view = View(t_ns, 0, image, lens, pose)
+        found, level = watch.feed(view, q.ground), LevelPicture.of(view, q.ground)
+        away = np.abs(way[:2] - pose.translation[:2]).max() * level.focal / level.depth
         pixel = lens.project(true.inverse.apply(way[None]))[0] if np.isfinite(way[0]) else np.full(2, np.nan)
-        if bool((pixel > 4).all() and (pixel < [lens.width - 5, lens.height - 5]).all()):
+        if bool((pixel > 4).all() and (pixel < [lens.width - 5, lens.height - 5]).all() and away < SIDE / 2):
             begun = t_ns if begun is None else begun
             if found and math.isinf(delay):
                 delay = (t_ns - begun) * 1e-9
@@ -120,12 +126,12 @@ def judged(q: DrawnDescent) -> tuple[bool, float, int]:
 
 
 def main() -> None:
-    families, seeds = (*sys.argv[1:], *(FAMILIES, SEEDS)[len(sys.argv) - 1 :])
+    families, seeds, width, heights = (*sys.argv[1:], *(FAMILIES, SEEDS, WIDTH, HEIGHTS)[len(sys.argv) - 1 :])
     rows, seconds, false = list[Row](), 0.0, 0
-    for height in HEIGHTS:
+    for height in map(float, heights.split(",")):
         delays = dict[str, list[float]](person=[], car=[])
         for family, seed, kind in product(families.split(","), seeds.split(","), KINDS):
-            q = kept(family, int(seed), height, kind)
+            q = kept(family, int(seed), height, kind, int(width))
             comes, delay, alarms = judged(q)
             false += alarms
             if kind == "nobody":
