@@ -21,8 +21,8 @@ NEARER = 0.5  # m, least progress towards a point
 class ClearWay:
     """Finds paths that are within `bounds`, and clear of the obstacles on the newest map.
 
-    A path over obstacles of doubtful height is flown at the height of the lowest search or higher: a map once showed 3 m
-    for most of a tree of 10 m, and a landing flew into it. The same holds for a long path over partly unmapped ground.
+    A path over obstacles of doubtful height is flown as high as the lowest search or higher: a map once showed 3 m for
+    most of a tree of 10 m, and a landing flew into it. The same holds for a long path over partly unmapped ground.
     """
 
     def __init__(self, settings: StageSettings) -> None:

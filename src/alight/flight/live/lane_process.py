@@ -25,6 +25,8 @@ from typing import Any, NamedTuple
 import cv2
 
 from alight import compiled
+from alight.flight.live.shared_arrays import receive, send
+from alight.memory import give_back
 
 log = logging.getLogger(__name__)
 
@@ -136,13 +138,13 @@ class LaneProcess:
     def _send(line: Connection, request: tuple[str, tuple[Any, ...]]) -> None:
         """Send a request, (method, arguments); runs on a thread of its own, as it blocks if the process hangs."""
         with contextlib.suppress(OSError):
-            line.send(request)
+            send(line, request)
 
     def _answer(self, method: str, timeout: float) -> Any:
         try:
             if not self._answers_within(timeout):
                 raise self._lost(f"{method}: no answer within {timeout:g} s")
-            reply: Reply = self._line.recv()
+            reply: Reply = receive(self._line)
         except (EOFError, OSError) as e:
             raise self._lost(f"{method}: the process has died") from e
         self.compiled.update(reply.compiled)
@@ -216,8 +218,11 @@ def serve(line: Connection, spec: LaneSpec, memory: tuple[Any, ...]) -> None:
             if made:
                 lane, result = result, None
             remembered = getattr(lane, spec.memory) if spec.memory and lane is not None else None
-            line.send(Reply(result, remembered, failure, tuple(compiling.names)))
+            is_large = send(line, Reply(result, remembered, failure, tuple(compiling.names)))
+            result, given = None, ()
+            if is_large:
+                give_back()
             if made:
                 compiling.names.clear()
-            method, given = line.recv()
+            method, given = receive(line)
             call = getattr(lane, method)

@@ -250,7 +250,10 @@ class Adjustment:
         return state
 
     def solve(self, state: BundleState, iterations: int, tolerance: float = 1e-7) -> BundleState:
-        """Do up to `iterations` Levenberg-Marquardt steps that lower the cost, until one does by a share below `tolerance`."""
+        """Do up to `iterations` Levenberg-Marquardt steps, until the cost decreases by a share below `tolerance`.
+
+        Steps that do not lower the cost do not count.
+        """
         state = self.aligned(state)
         damping, cost, equations = 1e-5, self.cost(state), self.linearise(state)
         while iterations and damping < 1e6:
