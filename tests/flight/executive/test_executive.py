@@ -123,10 +123,15 @@ def test_ground_without_a_place_is_searched_and_left() -> None:
     assert np.abs(spots).max() < 20.0  # no farther than that takes
 
 
-@pytest.mark.parametrize(("shows", "heights"), [(70.0, [120, 60]), (40.0, [120, 60, 30]), (20.0, [120, 60, 30])])
-def test_a_search_that_ends_without_a_place_goes_on_from_half_the_height(shows: float, heights: list[int]) -> None:
+@pytest.mark.parametrize(
+    ("shows", "sure", "heights"),
+    [(70.0, 0.97, [120, 60]), (70.0, 0.0, [120, 60, 30]), (40.0, 0.0, [120, 60, 30]), (20.0, 0.0, [120, 60, 30])],
+)
+def test_a_search_that_ends_without_a_site_goes_on_from_half_the_height(
+    shows: float, sure: float, heights: list[int]
+) -> None:
     """Never below 30 m, as trees of 15 m may stand on ground that is not mapped yet."""
-    place = {(22.0, 18.0): lambda h: clearer_from_below(h) if h < shows else 0.0}
+    place = {(22.0, 18.0): lambda h: max(clearer_from_below(h), sure) if h < shows else 0.0}
     f = Flight(Ground(place, sees=99.0), Executive(settings("executive.search_height=120")))
     f.position[2] = 120.0
     assert f.fly() is (S.LANDED if shows > 30.0 else S.RETURN)

@@ -74,7 +74,11 @@ class Search:
         if self.goals:
             level = home[2] if ground is None else ground + self._clear_way.bounds.search_height
             return self._to_goal(now, float(level), seen, is_open)
-        found = self._places.best(is_open)
+        found, bounds = self._places.best(is_open), self._clear_way.bounds
+        lower = self._share * bounds.search_height
+        sinks = ground is not None and lower >= bounds.lowest
+        if sinks and found is not None and found.kind != "site":
+            found = None  # a search from lower judges all candidates at once; a visit judges one
         if found is None or not self._places.worth_a_visit(found):
             lanes = self._lanes = self._lanes or SearchLanes(home, self._keys, self._clear_way.bounds)
             self._sinks = self._sinks and not self._is_down(now, lanes.end(ground), seen)
@@ -85,11 +89,10 @@ class Search:
                 self._over_at = now.t
             if self._over_at is None or not self._is_judged(now, self._over_at, seen):
                 return SearchStep(way=lanes.end(ground))
-        bounds = self._clear_way.bounds
-        if found is None and ground is not None and self._share * bounds.search_height >= bounds.lowest:
-            before, bounds.search_height = bounds.search_height, self._share * bounds.search_height
+        if found is None and sinks:
+            before, bounds.search_height = bounds.search_height, lower
             self._over_at, self._lanes, self._sinks = None, SearchLanes(home, self._keys, bounds), True
-            why = f"no place is left from {before:.0f} m, so the search goes on from {bounds.search_height:.0f} m"
+            why = f"no site is left from {before:.0f} m, so the search goes on from {bounds.search_height:.0f} m"
             return SearchStep(way=self._lanes.end(ground), why=why)
         if found is None:
             unseen = "" if ground is not None else "; no height could be measured"
