@@ -16,8 +16,9 @@ from scipy.special import ndtr, ndtri
 from alight.arrays import F32
 from alight.hazards.detection import Detection, read_detection
 from alight.hazards.evidence import Discs, Evidence, evidence_of, ground_terms, widths
-from alight.hazards.touchdown import CERTAIN, NO_NOISE, Inputs, Touchdowns
+from alight.hazards.touchdown import Inputs, Touchdowns
 from alight.learned import read_floors, read_rate
+from alight.learned.terms import GroundTerm
 from alight.raster import log_at_least
 from alight.records import MissingVeto, Terrain
 from alight.settings import HazardsSettings, Lander
@@ -49,8 +50,8 @@ def factors_of(t: Touchdowns, on: Inputs, missing: MissingVeto) -> SafetyFactors
     ground, never = np.ones_like(relief), np.full_like(relief, np.nan)
     if on.land_cover is not None:
         discs = Discs(on.elevation.grid, on.lander.ground_reach)
-        wet = _wet(ground_terms(on.elevation, on.land_cover, discs))
-        ground = discs.fine(_p_ground(wet, discs, on, missing))
+        terms = ground_terms(on.elevation, on.land_cover, discs)
+        ground = discs.fine(_p_ground(_wet(terms), terms, discs, on, missing))
     return SafetyFactors(relief, _beyond_cells(on), ground, np.full_like(relief, on.cell), never)
 
 
@@ -90,7 +91,7 @@ def _chances(found: Evidence, on: Inputs, missing: MissingVeto) -> tuple[F32, F3
     }
     expected = with_floors(expected, found.terms, {"all": found.near, "heights": found.near_by_heights})
     hazards = expected["obstacle"] + found.near * found.unseen * usual
-    ground = _p_ground(expected["ground"], found.discs, on, missing)
+    ground = _p_ground(expected["ground"], found.terms, found.discs, on, missing)
     return found.discs.fine(np.exp(-hazards)), found.discs.fine(ground)
 
 
@@ -99,10 +100,20 @@ def _wet(terms: Mapping[str, F32]) -> F32:
     return np.asarray(np.exp(read_rate("ground_rate").log_rate(terms)), np.float32)
 
 
-def _p_ground(wet: F32, discs: Discs, on: Inputs, missing: MissingVeto) -> F32:
-    """Compute the probability of firm, dry ground from the hazards that are expected by its look, `wet`."""
-    wet = wet + _unlike_dry_ground(on, discs) + np.float32(_unrefused(on, missing))
-    return np.asarray(np.exp(-wet), np.float32)
+def _p_ground(wet: F32, terms: Mapping[str, F32], discs: Discs, on: Inputs, missing: MissingVeto) -> F32:
+    """Compute the probability of firm, dry ground from the hazards that are expected by its look, `wet`.
+
+    Missing vetoes, a level surface below its banks and ground unlike the training data add to them.
+    """
+    settings, cover = on.settings, on.land_cover
+    unseen = settings.one_camera_hazard if MissingVeto.SECOND_CAMERA in missing else 0.0
+    unseen += settings.unchecked_hazard if MissingVeto.ATTITUDE in missing else 0.0
+    if cover is not None:
+        unseen += 0.0 if cover.coloured else settings.unchecked_hazard
+        novel = np.nan_to_num(discs.mean(discs.coarse(np.maximum(cover.novelty - 1, 0))))
+        enclosed = np.float32(settings.enclosed_hazard) * terms[GroundTerm.ENCLOSED]
+        wet = wet + (enclosed + np.float32(settings.novel_hazard) * novel)
+    return np.asarray(np.exp(-(wet + np.float32(unseen))), np.float32)
 
 
 def _blended(afar: F32, name: str, found: Evidence) -> F32:
@@ -127,14 +138,6 @@ def with_floors(
     return out
 
 
-def _unrefused(on: Inputs, missing: MissingVeto) -> float:
-    """Return the expected hazards of every footprint due to missing vetoes."""
-    settings, cover = on.settings, on.land_cover
-    grey = settings.unchecked_hazard if cover is not None and not cover.coloured else 0.0
-    alone = settings.one_camera_hazard if MissingVeto.SECOND_CAMERA in missing else 0.0
-    return grey + alone + (settings.unchecked_hazard if MissingVeto.ATTITUDE in missing else 0.0)
-
-
 def _density(on: Inputs, discs: Discs) -> F32:
     """Return the prior density of obstacles by land-cover class, 1/m^2, before any observation."""
     settings, cover = on.settings, on.land_cover
@@ -145,18 +148,6 @@ def _density(on: Inputs, discs: Discs) -> F32:
         for kind, density in usual.items():
             out = np.where(cover.label == kind, np.float32(density), out)
     return discs.mean(discs.coarse(out))
-
-
-def _unlike_dry_ground(on: Inputs, discs: Discs) -> F32:
-    """Return the expected hazards due to level surfaces below their banks, and to ground unlike the training data."""
-    settings, cover = on.settings, on.land_cover
-    if cover is None:
-        return np.zeros(discs.grid.shape, np.float32)
-    enclosed = discs.worst(discs.largest(cover.enclosed))
-    novel = np.nan_to_num(discs.mean(discs.coarse(np.maximum(cover.novelty - 1, 0))))
-    return np.asarray(
-        np.float32(settings.enclosed_hazard) * enclosed + np.float32(settings.novel_hazard) * novel, np.float32
-    )
 
 
 def pixel_that_settles(curves: Detection, lander: Lander, settings: HazardsSettings) -> float:
@@ -215,9 +206,9 @@ def margins_over_sigma(t: Touchdowns, on: Inputs) -> Margins:
 
 
 def _over(margin: F32, sigma: F32) -> F32:
-    sure = np.where(margin >= 0, CERTAIN, -CERTAIN)
-    out = np.where(sigma > NO_NOISE, margin / np.maximum(sigma, np.float32(NO_NOISE)), sure)
-    return np.asarray(np.where(np.isfinite(margin), out, np.float32(np.nan)), np.float32)
+    """Divide; without noise a limit is certainly kept or broken."""
+    out = np.divide(margin, sigma, out=np.copysign(np.float32(np.inf), margin), where=sigma > 0)
+    return np.where(np.isnan(margin), np.float32(np.nan), out)
 
 
 def _gear_lever(lander: Lander, cell: float, settings: HazardsSettings) -> float:
