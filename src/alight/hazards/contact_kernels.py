@@ -102,38 +102,6 @@ def _touch(ground: F32, pad: int, r: int, offsets: I64, mean: bool, out: F32) ->
         out /= np.float32(offsets.shape[0])
 
 
-@kernel
-def _rest_on_feet(ground: F32, r: int, feet: Feet, belly: Belly, tilt: F32, rise: F32) -> None:
-    headings, count, cols, pad = feet.xy.shape[0], feet.xy.shape[1], tilt.size, (ground.shape[1] - tilt.size) // 2
-    steep, over, under, touch = np.zeros(cols), np.empty(cols), np.empty(cols, np.float32), np.empty((count, cols))
-    level, across, along, own = np.empty(cols), np.empty(cols), np.empty(cols), belly.own[:, r].copy()
-    for k in range(headings):
-        for f in range(count):
-            _touch(ground, pad, r, feet.offsets[feet.starts[k, f] : feet.starts[k, f + 1]], feet.mean, under)
-            touch[f] = under
-        for t in range(feet.triples.shape[0]):
-            i, j, m = feet.triples[t]
-            s = feet.solve[k, t]
-            one, two, three = touch[i], touch[j], touch[m]
-            for c in range(cols):
-                level[c] = s[0, 0] * one[c] + s[0, 1] * two[c] + s[0, 2] * three[c]
-                across[c] = s[1, 0] * one[c] + s[1, 1] * two[c] + s[1, 2] * three[c]
-                along[c] = s[2, 0] * one[c] + s[2, 1] * two[c] + s[2, 2] * three[c]
-                over[c] = -np.inf
-            for f in range(0 if feet.any_three else count):
-                line, x, y = touch[f], feet.xy[k, f, 0], feet.xy[k, f, 1]
-                for c in range(cols):
-                    e = line[c] - (level[c] + x * across[c] + y * along[c])
-                    over[c] = e if e > over[c] else over[c]
-            for c in range(cols):
-                carries, g = over[c] <= HAIR, across[c] * across[c] + along[c] * along[c]
-                steep[c] = g if carries and g > steep[c] else steep[c]
-                level[c] = level[c] if carries else np.inf  # the plane lies below the ground of a foot
-            _raise_by_body(belly, own, r, level, across, along, rise)
-    for c in range(cols):
-        tilt[c] = math.sqrt(steep[c])
-
-
 @parallel_kernel
 def feet_contact(ground: F32, feet: Feet, belly: Belly, tilt: F32, rise: F32) -> None:
     """Compute the worst tilt and rise of a lander on feet, over all headings and triples of feet that carry it (G4).
@@ -145,8 +113,36 @@ def feet_contact(ground: F32, feet: Feet, belly: Belly, tilt: F32, rise: F32) ->
         tilt: (R, C) filled with the worst tangent of the tilt.
         rise: (R, C) least rises of interest, raised to the worst rise.
     """
-    for r in prange(tilt.shape[0]):
-        _rest_on_feet(ground, r, feet, belly, tilt[r], rise[r])
+    (headings, count), (rows, cols) = feet.xy.shape[:2], tilt.shape
+    pad = (ground.shape[1] - cols) // 2
+    for r in prange(rows):
+        steep, over, under, touch = np.zeros(cols), np.empty(cols), np.empty(cols, np.float32), np.empty((count, cols))
+        level, across, along, own = np.empty(cols), np.empty(cols), np.empty(cols), belly.own[:, r].copy()
+        for k in range(headings):
+            for f in range(count):
+                _touch(ground, pad, r, feet.offsets[feet.starts[k, f] : feet.starts[k, f + 1]], feet.mean, under)
+                touch[f] = under
+            for t in range(feet.triples.shape[0]):
+                i, j, m = feet.triples[t]
+                s = feet.solve[k, t]
+                one, two, three = touch[i], touch[j], touch[m]
+                for c in range(cols):
+                    level[c] = s[0, 0] * one[c] + s[0, 1] * two[c] + s[0, 2] * three[c]
+                    across[c] = s[1, 0] * one[c] + s[1, 1] * two[c] + s[1, 2] * three[c]
+                    along[c] = s[2, 0] * one[c] + s[2, 1] * two[c] + s[2, 2] * three[c]
+                    over[c] = -np.inf
+                for f in range(0 if feet.any_three else count):
+                    line, x, y = touch[f], feet.xy[k, f, 0], feet.xy[k, f, 1]
+                    for c in range(cols):
+                        e = line[c] - (level[c] + x * across[c] + y * along[c])
+                        over[c] = e if e > over[c] else over[c]
+                for c in range(cols):
+                    carries, g = over[c] <= HAIR, across[c] * across[c] + along[c] * along[c]
+                    steep[c] = g if carries and g > steep[c] else steep[c]
+                    level[c] = level[c] if carries else np.inf  # the plane lies below the ground of a foot
+                _raise_by_body(belly, own, r, level, across, along, rise[r])
+        for c in range(cols):
+            tilt[r, c] = math.sqrt(steep[c])
 
 
 @kernel
@@ -197,46 +193,42 @@ def resting_pitches(left: F32, right: F32, apart: float) -> tuple[F32, F32]:
     return low, np.fmax(low, high)  # equal pitches may differ by rounding
 
 
-@kernel
-def _rest_on_skids(ground: F32, r: int, skids: Skids, belly: Belly, tilt: F32, rise: F32) -> None:
-    n, cols, pad = skids.along.shape[1], tilt.size, (ground.shape[1] - tilt.size) // 2
-    rails, tops = np.empty((2, n, cols), np.float32), np.empty((2, cols), np.float32)
-    planes, rolls = np.empty((3, cols), np.float32), np.empty(cols, np.float32)
-    level, across, along = planes[0], planes[1], planes[2]
-    steep, own, half, one = np.zeros(cols, np.float32), belly.own[:, r].copy(), np.float32(0.5), np.float32(1)
-    for k in range(skids.axes.shape[0]):
-        for side in range(2):
-            for i in range(n):
-                row, column = skids.offsets[k, side, i] + pad
-                line, rail = ground[r + row][column : column + cols], rails[side, i]
-                for c in range(cols):
-                    rail[c] = line[c] - own[0, c]
-        ax, ay, gauge = np.float32(skids.axes[k, 0]), np.float32(skids.axes[k, 1]), np.float32(skids.gauge[k])
-        places = skids.along[k].astype(np.float32)
-        low, high = resting_pitches(rails[0], rails[1], skids.along[k, 1] - skids.along[k, 0])
-        rolls[:] = np.float32(0)
-        for pitch in (low, high):
-            tops[:] = np.float32(-np.inf)  # heights of the middles of the rails
-            for side in range(2):
-                for i in range(0, n, 2):
-                    j = min(i + 1, n - 1)
-                    here, beside = rails[side, i], rails[side, j]
-                    _raise_to(tops[side], one, here, -places[i], pitch, one, beside, -places[j], pitch)
-            for c in range(cols):
-                roll = (tops[0, c] - tops[1, c]) / gauge  # rises to the left, which is (ay, -ax)
-                rolls[c] = max(rolls[c], abs(roll))
-                level[c] = own[0, c] + half * (tops[0, c] + tops[1, c])
-                across[c], along[c] = pitch[c] * ax + roll * ay, pitch[c] * ay - roll * ax
-            _raise_by_body(belly, own, r, level, across, along, rise)
-        for c in range(cols):
-            pitched = max(abs(low[c]), abs(high[c]))
-            steep[c] = max(steep[c], pitched * pitched + rolls[c] * rolls[c])
-    for c in range(cols):
-        tilt[c] = math.sqrt(steep[c])
-
-
 @parallel_kernel
 def skid_contact(ground: F32, skids: Skids, belly: Belly, tilt: F32, rise: F32) -> None:
     """Compute the worst tilt and rise of a lander on two skids, over all headings (G5); see `feet_contact`."""
-    for r in prange(tilt.shape[0]):
-        _rest_on_skids(ground, r, skids, belly, tilt[r], rise[r])
+    n, (rows, cols) = skids.along.shape[1], tilt.shape
+    pad = (ground.shape[1] - cols) // 2
+    for r in prange(rows):
+        rails, tops = np.empty((2, n, cols), np.float32), np.empty((2, cols), np.float32)
+        planes, rolls = np.empty((3, cols), np.float32), np.empty(cols, np.float32)
+        level, across, along = planes[0], planes[1], planes[2]
+        steep, own, half, one = np.zeros(cols, np.float32), belly.own[:, r].copy(), np.float32(0.5), np.float32(1)
+        for k in range(skids.axes.shape[0]):
+            for side in range(2):
+                for i in range(n):
+                    row, column = skids.offsets[k, side, i] + pad
+                    line, rail = ground[r + row][column : column + cols], rails[side, i]
+                    for c in range(cols):
+                        rail[c] = line[c] - own[0, c]
+            ax, ay, gauge = np.float32(skids.axes[k, 0]), np.float32(skids.axes[k, 1]), np.float32(skids.gauge[k])
+            places = skids.along[k].astype(np.float32)
+            low, high = resting_pitches(rails[0], rails[1], skids.along[k, 1] - skids.along[k, 0])
+            rolls[:] = np.float32(0)
+            for pitch in (low, high):
+                tops[:] = np.float32(-np.inf)  # heights of the middles of the rails
+                for side in range(2):
+                    for i in range(0, n, 2):
+                        j = min(i + 1, n - 1)
+                        here, beside = rails[side, i], rails[side, j]
+                        _raise_to(tops[side], one, here, -places[i], pitch, one, beside, -places[j], pitch)
+                for c in range(cols):
+                    roll = (tops[0, c] - tops[1, c]) / gauge  # rises to the left, which is (ay, -ax)
+                    rolls[c] = max(rolls[c], abs(roll))
+                    level[c] = own[0, c] + half * (tops[0, c] + tops[1, c])
+                    across[c], along[c] = pitch[c] * ax + roll * ay, pitch[c] * ay - roll * ax
+                _raise_by_body(belly, own, r, level, across, along, rise[r])
+            for c in range(cols):
+                pitched = max(abs(low[c]), abs(high[c]))
+                steep[c] = max(steep[c], pitched * pitched + rolls[c] * rolls[c])
+        for c in range(cols):
+            tilt[r, c] = math.sqrt(steep[c])

@@ -77,14 +77,6 @@ class Detection:
 
 @cache
 def read_detection() -> Detection:
-    """Read the measured curves of the package.
-
-    Raises:
-        ValueError: a curve decreases or leaves the range 0 to 1.
-    """
+    """Read the measured curves of the package."""
     arrays = arrays_of(table_path("detection").read_bytes())
-    sizes, heights, pixels = (arrays[k].astype(np.float64) for k in ("sizes", "heights", "pixels"))
-    for curve in (heights, pixels):
-        if curve.shape != sizes.shape or (np.diff(curve) < 0).any() or not ((curve >= 0) & (curve <= 1)).all():
-            raise ValueError("a curve of the table falls, or leaves 0 to 1")
-    return Detection(sizes, heights, pixels)
+    return Detection(*(arrays[k].astype(np.float64) for k in ("sizes", "heights", "pixels")))

@@ -44,7 +44,7 @@ def factors_of(t: Touchdowns, on: Inputs, missing: MissingVeto) -> SafetyFactors
     """Compute the factors from all evidence if matching may have smoothed obstacles away, else from the margins."""
     margins = margins_over_sigma(t, on)
     if on.settings.smoothed:
-        return _of_matched_heights(t, margins, on, missing)
+        return _of_matched_heights(t, margins.vehicle, on, missing)
     hidden = np.float32(on.settings.hidden_hazard) * t.footprint.unknown
     relief = kept([*margins.vehicle, *margins.deviation]) * (1 - hidden)
     ground, never = np.ones_like(relief), np.full_like(relief, np.nan)
@@ -55,10 +55,9 @@ def factors_of(t: Touchdowns, on: Inputs, missing: MissingVeto) -> SafetyFactors
     return SafetyFactors(relief, _beyond_cells(on), ground, np.full_like(relief, on.cell), never)
 
 
-def _of_matched_heights(t: Touchdowns, margins: Margins, on: Inputs, missing: MissingVeto) -> SafetyFactors:
-    tilt, vehicle = margins.tilt, margins.vehicle
-    del margins  # the deviation is among the evidence
-    obstacle, ground = _chances(evidence_of(t, tilt, on), on, missing)
+def _of_matched_heights(t: Touchdowns, vehicle: list[F32], on: Inputs, missing: MissingVeto) -> SafetyFactors:
+    """Compute the factors; the deviation from the plane is among the evidence, so its margin is not used."""
+    obstacle, ground = _chances(evidence_of(t, on), on, missing)
     relief, least = kept(vehicle), np.minimum.reduce(vehicle)
     sampling, pixel = (widths(v, on.cell) for v in (on.elevation.sampling, on.elevation.picture_sampling))
     curves = read_detection()
@@ -169,7 +168,7 @@ def _settles_at(factors: tuple[F32, F32, F32], least: F32, pixel: F32, shows: fl
     """
     (relief, obstacle, ground), fine = factors, np.float32(shows)
     half = np.float32(0.5) * pixel
-    closer = np.where(pixel > fine, np.minimum(fine, pixel), half)
+    closer = np.where(pixel > fine, fine, half)
     enough = np.float32(ndtri(1 - SETTLED * (1 - on.settings.p_safe)))
     flatter = pixel * (least / enough).clip(0, 1)
     out = np.where(relief < np.minimum(obstacle, ground), np.minimum(flatter, half), closer)
@@ -180,8 +179,7 @@ def _settles_at(factors: tuple[F32, F32, F32], least: F32, pixel: F32, shows: fl
 class Margins(NamedTuple):
     """Margins of every touchdown to its limits, (R, C) sigmas each."""
 
-    tilt: F32
-    vehicle: list[F32]  # tilt, belly if it is judged, rotors if they reach beyond the footprint
+    vehicle: list[F32]  # tilt; belly if it is judged, rotors if they reach beyond the footprint
     deviation: list[F32]  # deviation of the ground from the plane; empty if the belly is judged instead
 
 
@@ -202,7 +200,7 @@ def margins_over_sigma(t: Touchdowns, on: Inputs) -> Margins:
         parts, deviation = [_over(lander.belly_clearance - t.rise, rise_sigma)], []
     else:
         parts, deviation = [], [_over(lander.max_roughness - t.footprint.roughness, local)]
-    return Margins(tilt, [tilt, *parts, *([] if t.rotor is None else [t.rotor])], deviation)
+    return Margins([tilt, *parts, *([] if t.rotor is None else [t.rotor])], deviation)
 
 
 def _over(margin: F32, sigma: F32) -> F32:
@@ -231,7 +229,4 @@ def _independent_heights(lander: Lander, cell: float, settings: HazardsSettings)
 
 def kept(margins: Sequence[F32]) -> F32:
     """Compute the probability, (R, C), that all limits are kept, from their margins in sigmas."""
-    p = ndtr(margins[0])
-    for margin in margins[1:]:
-        p = p * ndtr(margin)
-    return np.asarray(p, np.float32)
+    return np.asarray(np.prod([ndtr(margin) for margin in margins], axis=0), np.float32)

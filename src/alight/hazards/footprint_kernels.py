@@ -12,31 +12,28 @@ from alight.arrays import F32, F64, I64, Mask
 from alight.compiled import kernel, parallel_kernel, prange
 
 
-@parallel_kernel
-def row_sums(height: F32, reach: int, sums: F64) -> None:
-    """Fill `sums` (R, 6, C + 1 + 2 reach) with running sums along each row of k, k c, k c^2, k h, k c h, k h^2.
+@kernel
+def _row_sums(line: F32, reach: int, sums: F64) -> None:
+    """Fill `sums` (6, C + 1 + 2 reach) with running sums along a row (C,) of k, k c, k c^2, k h, k c h, k h^2.
 
     k is 1 where the height h is known, else 0; c is the column. The first `reach` + 1 columns are 0, the last `reach`
     columns repeat the total.
     """
-    rows, cols = height.shape
-    for r in prange(rows):
-        n = s1 = s2 = sh = sch = shh = 0.0
-        sums[r, :, : reach + 1] = 0.0
-        for c in range(cols):
-            h = height[r, c]
-            if not math.isnan(h):
-                n += 1.0
-                s1 += c
-                s2 += c * c
-                sh += h
-                sch += c * h
-                shh += float(h) * h
-            at = c + reach + 1
-            sums[r, 0, at], sums[r, 1, at], sums[r, 2, at] = n, s1, s2
-            sums[r, 3, at], sums[r, 4, at], sums[r, 5, at] = sh, sch, shh
-        for i in range(6):
-            sums[r, i, cols + reach + 1 :] = sums[r, i, cols + reach]
+    n = s1 = s2 = sh = sch = shh = 0.0
+    sums[:, : reach + 1] = 0.0
+    for c in range(line.size):
+        h = line[c]
+        if not math.isnan(h):
+            n += 1.0
+            s1 += c
+            s2 += c * c
+            sh += h
+            sch += c * h
+            shh += float(h) * h
+        at = c + reach + 1
+        sums[0, at], sums[1, at], sums[2, at], sums[3, at], sums[4, at], sums[5, at] = n, s1, s2, sh, sch, shh
+    for i in range(6):
+        sums[i, line.size + reach + 1 :] = sums[i, line.size + reach]
 
 
 @kernel
@@ -83,29 +80,33 @@ def _solve(m: F64) -> tuple[float, float, float, float]:
 
 
 @parallel_kernel
-def fit_planes(sums: F64, spans: I64, count: F32, level: F32, grad_c: F32, grad_r: F32, squares: F32) -> None:
+def fit_planes(height: F32, spans: I64, planes: F32) -> None:
     """Fit the least-squares plane of the footprint around every cell (G1).
 
     Args:
-        sums: (R, 6, C + 1 + 2 n) from `row_sums`.
+        height: (R, C), NaN = unknown.
         spans: (2 n + 1,) half widths in cells of the rows of the disc.
-        count: (R, C) filled with the number of known cells in the footprint.
-        level, grad_c, grad_r: (R, C) filled with the plane at the centre and its rise per column and per row.
-        squares: (R, C) filled with the sum of the squared deviations from the plane.
+        planes: (5, R, C) filled with the number of known cells in the footprint; the plane's height at the centre, its
+            rise per column and per row; and the sum of the squared deviations from it.
     """
-    rows, cols = count.shape
-    reach = spans.size // 2
-    for r in prange(rows):
-        span, moments = np.empty((6, cols)), np.zeros((10, cols))
-        for i in range(max(0, reach - r), min(spans.size, rows + reach - r)):
-            lo, hi = reach - spans[i], reach + spans[i] + 1
-            for j in range(6):
-                line = sums[r + i - reach, j]
-                _between(line[lo : lo + cols], line[hi : hi + cols], span[j])
-            _add_moments(span, float(i - reach), moments)
-        for c in range(cols):
-            count[r, c] = moments[0, c]
-            level[r, c], grad_c[r, c], grad_r[r, c], squares[r, c] = _solve(moments[:, c])
+    rows, cols = height.shape
+    reach, band = spans.size // 2, 4 * spans.size  # rows whose running sums are kept at a time: a fifth are made twice
+    for b in prange((rows + band - 1) // band):
+        top, bottom = b * band, min((b + 1) * band, rows)
+        sums, span = np.empty((band + 2 * reach, 6, cols + 1 + 2 * reach)), np.empty((6, cols))
+        for q in range(max(top - reach, 0), min(bottom + reach, rows)):
+            _row_sums(height[q], reach, sums[q - top + reach])
+        for r in range(top, bottom):
+            moments = np.zeros((10, cols))
+            for i in range(max(0, reach - r), min(spans.size, rows + reach - r)):
+                lo, hi = reach - spans[i], reach + spans[i] + 1
+                for j in range(6):
+                    line = sums[r + i - top, j]
+                    _between(line[lo : lo + cols], line[hi : hi + cols], span[j])
+                _add_moments(span, float(i - reach), moments)
+            for c in range(cols):
+                planes[0, r, c] = moments[0, c]
+                planes[1, r, c], planes[2, r, c], planes[3, r, c], planes[4, r, c] = _solve(moments[:, c])
 
 
 @kernel
@@ -124,23 +125,24 @@ def _widen(top: F32, low: F32, line: F32, after: F32, base: F32, grad: F32, x: f
 
 
 @parallel_kernel
-def deviations(padded: F32, level: F32, grad_c: F32, grad_r: F32, spans: I64, above: F32, below: F32) -> None:
+def deviations(padded: F32, planes: F32, spans: I64, above: F32, below: F32) -> None:
     """Raise `above` and lower `below`, (R, C) zeros, to the largest and smallest h - plane in the footprint (G2).
 
-    `padded` (R, C + 2 n) holds the heights h, with n = len(spans) // 2 unknown columns on both sides.
+    `padded` (R, C + 2 n) holds the heights h, with n = len(spans) // 2 unknown columns on both sides; `planes`: see
+    `fit_planes`.
     """
-    rows, cols = level.shape
+    rows, cols = above.shape
     reach = spans.size // 2
     for r in prange(rows):
         base = np.empty(cols, np.float32)
         for i in range(max(0, reach - r), min(spans.size, rows + reach - r)):
             line, dr = padded[r + i - reach], np.float32(i - reach)
             for c in range(cols):
-                base[c] = level[r, c] + dr * grad_r[r, c]
+                base[c] = planes[1, r, c] + dr * planes[3, r, c]
             for dc in range(-spans[i], spans[i] + 1, 2):
                 x, y = dc, min(dc + 1, spans[i])
                 first, second = line[reach + x : reach + x + cols], line[reach + y : reach + y + cols]
-                _widen(above[r], below[r], first, second, base, grad_c[r], np.float32(x), np.float32(y))
+                _widen(above[r], below[r], first, second, base, planes[2, r], np.float32(x), np.float32(y))
 
 
 @kernel

@@ -50,34 +50,24 @@ def _cells_within(centre: F64, radius_cells: float) -> I64:
     return (inside if len(inside) else near[None])[:, ::-1].astype(np.int64)
 
 
-def _holds_centre(corners: F64) -> bool:
-    """Whether the origin lies in the triangle (3, 2) or on its edge; otherwise the lander would tip over."""
-    weights = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [0.0, 0.0, 1.0])
-    return bool((weights >= -1e-6).all())
-
-
-def _double_areas(points: F64, triples: I64) -> F64:
-    """Return twice the area, (..., t), of triangles of points (..., n, 2); `triples`: (t, 3) indices of corners."""
-    u, v = (points[..., triples[:, k], :] - points[..., triples[:, 0], :] for k in (1, 2))
-    return np.asarray(np.abs(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]))
+def _corners(points: F64, triples: I64) -> F64:
+    """Return the matrices (..., t, 3, 3) with rows (1, x, y) of the corners of triangles; `points`: (..., n, 2)."""
+    corners = points[..., triples, :]
+    return np.concatenate([np.ones((*corners.shape[:-1], 1)), corners], axis=-1)
 
 
 def _triples(feet: F64, any_three: bool) -> I64:
     """Return the indices (t, 3) of three feet each that can carry the lander; small triangles are left out.
 
-    Triangles that do not hold the lander's centre are left out as well, unless `any_three` or no triangle holds it.
+    Triangles that do not hold the lander's centre, where it would tip over, are left out as well, unless `any_three` or
+    no triangle holds it.
     """
-    every = list(combinations(range(len(feet)), 3))
-    area = _double_areas(feet, np.array(every))
-    thick = [t for t, a in zip(every, area, strict=True) if a >= 0.1 * area.max()]
-    held = [t for t in thick if _holds_centre(feet[list(t)])]
-    return np.array(thick if any_three or not held else held, dtype=np.int64)
-
-
-def _solves(xy: F64, triples: I64) -> F64:
-    """Return the matrices (headings, t, 3, 3) that turn the heights of three feet into the plane through them."""
-    corners = xy[:, triples]  # (headings, t, 3, 2)
-    return np.ascontiguousarray(np.linalg.inv(np.concatenate([np.ones((*corners.shape[:3], 1)), corners], axis=-1)))
+    every = np.array(list(combinations(range(len(feet)), 3)))
+    area = np.abs(np.linalg.det(_corners(feet, every)))
+    thick = every[area >= 0.1 * area.max()]
+    weights = np.linalg.inv(_corners(feet, thick))[:, 0]  # of the corners at the centre
+    held = (weights >= -1e-6).all(axis=1)
+    return np.asarray(thick if any_three or not held.any() else thick[held], np.int64)
 
 
 def is_coarse(lander: Lander, cell: float) -> bool:
@@ -100,14 +90,15 @@ def feet_of(lander: Lander, cell: float) -> Feet:
     exact = body[:, :1] * ahead + body[:, 1:] * left
     cells = [[_cells_within(foot, lander.foot_radius / cell) for foot in feet] for feet in exact]
     centroids = np.array([[c[:, ::-1].mean(axis=0) for c in feet] for feet in cells])
-    apart = np.asarray((_double_areas(centroids, triples) >= 0.25 * _double_areas(exact, triples)).all(axis=1))
+    areas = (np.abs(np.linalg.det(_corners(points, triples))) for points in (centroids, exact))
+    apart = np.asarray((next(areas) >= 0.25 * next(areas)).all(axis=1))
     xy = np.where(apart[:, None, None], centroids, exact)
     counts = np.array([[len(c) for c in feet] for feet in cells], np.int64)
     ends = counts.cumsum().reshape(counts.shape)
     starts = np.concatenate([ends[:, :1] - counts[:, :1], ends], axis=1)
     offsets = np.concatenate([c for feet in cells for c in feet])
     how = (not bool(apart.all()), lander.foot_contact == "mean", lander.support == "any")
-    return Feet(xy, offsets, starts, triples, _solves(xy, triples), *how)
+    return Feet(xy, offsets, starts, triples, np.asarray(np.linalg.inv(_corners(xy, triples)), np.float64), *how)
 
 
 def skids_of(lander: Lander, cell: float) -> Skids:

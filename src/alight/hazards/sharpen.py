@@ -52,24 +52,10 @@ def coarsen(fine: F32, factor: int) -> F32:
     return np.ascontiguousarray(down @ fine @ along.T)
 
 
-def coarsen_transposed(cells: F32, factor: int) -> F32:
-    """Apply the transpose of `coarsen`."""
-    down, along = (coarsening(n, factor) for n in cells.shape)
-    return np.ascontiguousarray(down.T @ cells @ along)
-
-
 def _laplacian(z: F32) -> F32:
     out = np.asarray(cv2.Laplacian(z, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_CONSTANT))
     out[0] = out[-1] = out[:, 0] = out[:, -1] = 0
     return out
-
-
-def _conjugate_gradients(normal: Operator, right: F32, diagonal: F32, steps: int) -> F32:
-    """Solve `normal(x) = right` by conjugate gradients; the `diagonal` of `normal` serves as preconditioner."""
-    shape, size = right.shape, right.size
-    matrix = LinearOperator((size, size), lambda x: normal(x.reshape(shape)).ravel(), dtype=np.float32)
-    jacobi = LinearOperator((size, size), lambda x: x.ravel() / diagonal.ravel(), dtype=np.float32)
-    return np.asarray(cg(matrix, right.ravel(), rtol=1e-6, maxiter=steps, M=jacobi)[0], np.float32).reshape(shape)
 
 
 def _gradient(height: F32, pixel: float, axis: int, border: int = cv2.BORDER_DEFAULT) -> F32:
@@ -94,11 +80,6 @@ class Sunlight:
     ambient: float  # grey levels
     spread: float  # grey levels, 1-sigma of the residual
     explained: float  # share of the image's variance that the model explains
-
-    @property
-    def elevation(self) -> float:
-        """Elevation of the sun above the horizon, rad."""
-        return math.atan2(self.sun[2], math.hypot(self.sun[0], self.sun[1]))
 
     def brightness(self, along: F32, across: F32) -> tuple[F32, F32, F32]:
         """Compute the brightness (R, C) at gradients per column and row, and its derivatives with respect to them."""
@@ -143,7 +124,7 @@ def in_shadow(height: F32, light: Sunlight, pixel: float, longest: int = 400) ->
         return np.zeros(height.shape, dtype=np.bool_)
     towards = light.sun[:2] / level
     out = np.zeros(height.shape, dtype=np.bool_)
-    cast_shadows(height, float(towards[1]), float(towards[0]), math.tan(light.elevation) * pixel, longest, out)
+    cast_shadows(height, float(towards[1]), float(towards[0]), light.sun[2] / level * pixel, longest, out)
     along, across = gradients(height, pixel)
     return out | (light.brightness(along, across)[0] < light.ambient)
 
@@ -182,17 +163,25 @@ def _step(scene: _Scene, z: F32, light: Sunlight, lit: Mask, iterations: int) ->
         along, across = (_gradient(a, scene.pixel, k, cv2.BORDER_CONSTANT) for k, a in enumerate((u, v)))
         return -along - across
 
+    down, wide = (coarsening(n, scene.factor) for n in scene.cells.shape)
+
+    def spread(cells: F32) -> F32:
+        return np.ascontiguousarray(down.T @ (scene.cell_weight * cells) @ wide)
+
     def normal(x: F32) -> F32:
         gx, gy = gradients(x, scene.pixel)
         seen = weight * (dp * gx + dq * gy)
-        cells = coarsen_transposed(scene.cell_weight * coarsen(x, scene.factor), scene.factor)
-        return np.asarray(cells + transposed(dp * seen, dq * seen) + _laplacian(stiff * _laplacian(x)))
+        return np.asarray(
+            spread(coarsen(x, scene.factor)) + transposed(dp * seen, dq * seen) + _laplacian(stiff * _laplacian(x))
+        )
 
-    right = coarsen_transposed(scene.cell_weight * (scene.cells - coarsen(z, scene.factor)), scene.factor)
+    right = spread(scene.cells - coarsen(z, scene.factor))
     right += transposed(weight * dp * off, weight * dq * off) - _laplacian(stiff * bend)
-    down, wide = (coarsening(n, scene.factor).power(2) for n in scene.cells.shape)
-    diagonal = down.T @ scene.cell_weight @ wide + weight * (dp**2 + dq**2) * 12 * scale**2 + 20 * stiff
-    return _conjugate_gradients(normal, right.astype(np.float32), diagonal.astype(np.float32), iterations)
+    diagonal = down.power(2).T @ scene.cell_weight @ wide.power(2) + weight * (dp**2 + dq**2) * 12 * scale**2
+    diagonal += 20 * stiff
+    matrix = LinearOperator((z.size, z.size), lambda x: normal(x.reshape(z.shape)).ravel(), dtype=np.float32)
+    jacobi = LinearOperator((z.size, z.size), lambda x: x.ravel() / diagonal.ravel(), dtype=np.float32)
+    return np.asarray(cg(matrix, right.ravel(), rtol=1e-6, maxiter=iterations, M=jacobi)[0].reshape(z.shape))
 
 
 def _solve(scene: _Scene) -> tuple[F32, Mask] | None:
