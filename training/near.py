@@ -59,7 +59,7 @@ def _cells(look: Look, rng: np.random.Generator) -> NearSample | None:
     on = Inputs(j.elevation, cover_of(j), s.lander, s.hazards)
     touchdowns = measure(on)
     found, reasons = evidence_of(touchdowns, on), limits_broken(touchdowns, on)
-    p_tilt = np.nan_to_num(ndtr(margins_over_sigma(touchdowns, on).vehicle[0]))
+    p_tilt = np.nan_to_num(ndtr(margins_over_sigma(touchdowns, on)[0]))
     discs, truth = found.discs, GroundTruth(j.truth, s.lander)
     kept = (discs.largest(j.seen.astype(np.float32)) > 0) & look.about(discs.grid)
     kept &= (discs.largest((reasons != 0).astype(np.float32)) == 0) & (found.near >= LEAST_NEARNESS)

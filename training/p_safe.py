@@ -94,7 +94,7 @@ def sample(j: Judgeable, tables: Tables, about: Look | None = None, most: int = 
     on = Inputs(j.elevation, cover_of(j, tables), s.lander, s.hazards)
     touchdowns = measure(on)
     found, reasons = evidence_of(touchdowns, on), limits_broken(touchdowns, on)
-    p_tilt = np.nan_to_num(ndtr(margins_over_sigma(touchdowns, on).vehicle[0]))
+    p_tilt = np.nan_to_num(ndtr(margins_over_sigma(touchdowns, on)[0]))
     discs, truth = found.discs, GroundTruth(j.truth, s.lander)
     seen = discs.largest(j.seen.astype(np.float32)) > 0
     cells = np.flatnonzero(seen if about is None else seen & about.about(discs.grid))

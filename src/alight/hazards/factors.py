@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -44,9 +43,9 @@ def factors_of(t: Touchdowns, on: Inputs, missing: MissingVeto) -> SafetyFactors
     """Compute the factors from all evidence if matching may have smoothed obstacles away, else from the margins."""
     margins = margins_over_sigma(t, on)
     if on.settings.smoothed:
-        return _of_matched_heights(t, margins.vehicle, on, missing)
+        return _of_matched_heights(t, margins, on, missing)
     hidden = np.float32(on.settings.hidden_hazard) * t.footprint.unknown
-    relief = kept([*margins.vehicle, *margins.deviation]) * (1 - hidden)
+    relief = kept(margins) * (1 - hidden)
     ground, never = np.ones_like(relief), np.full_like(relief, np.nan)
     if on.land_cover is not None:
         discs = Discs(on.elevation.grid, on.lander.ground_reach)
@@ -55,10 +54,9 @@ def factors_of(t: Touchdowns, on: Inputs, missing: MissingVeto) -> SafetyFactors
     return SafetyFactors(relief, _beyond_cells(on), ground, np.full_like(relief, on.cell), never)
 
 
-def _of_matched_heights(t: Touchdowns, vehicle: list[F32], on: Inputs, missing: MissingVeto) -> SafetyFactors:
-    """Compute the factors; the deviation from the plane is among the evidence, so its margin is not used."""
+def _of_matched_heights(t: Touchdowns, margins: list[F32], on: Inputs, missing: MissingVeto) -> SafetyFactors:
     obstacle, ground = _chances(evidence_of(t, on), on, missing)
-    relief, least = kept(vehicle), np.minimum.reduce(vehicle)
+    relief, least = kept(margins), np.minimum.reduce(margins)
     sampling, pixel = (widths(v, on.cell) for v in (on.elevation.sampling, on.elevation.picture_sampling))
     curves = read_detection()
     enough = pixel_that_settles(curves, on.lander, on.settings)
@@ -176,15 +174,12 @@ def _settles_at(factors: tuple[F32, F32, F32], least: F32, pixel: F32, shows: fl
     return np.where(out >= np.float32(FINEST * on.lander.tallest_obstacle), out, np.float32(np.nan)).astype(np.float32)
 
 
-class Margins(NamedTuple):
-    """Margins of every touchdown to its limits, (R, C) sigmas each."""
+def margins_over_sigma(t: Touchdowns, on: Inputs) -> list[F32]:
+    """Compute the margins of every touchdown to its limits, (R, C) sigmas each (G7 to G9).
 
-    vehicle: list[F32]  # tilt; belly if it is judged, rotors if they reach beyond the footprint
-    deviation: list[F32]  # deviation of the ground from the plane; empty if the belly is judged instead
-
-
-def margins_over_sigma(t: Touchdowns, on: Inputs) -> Margins:
-    """Compute the margins to the limits of tilt, of rise or deviation, and of the rotors, in sigmas (G7 to G9)."""
+    The limits are those of the tilt, which comes first, of the rise or the deviation of the ground, and of the rotors
+    if they reach beyond the footprint. The deviation of matched heights is left out, as it is among the evidence.
+    """
     lander, settings, cell = on.lander, on.settings, on.cell
     local = np.fmin(t.sigma, t.footprint.scatter)  # noise that is not common to the whole footprint
     if lander.has_gear:
@@ -195,12 +190,13 @@ def margins_over_sigma(t: Touchdowns, on: Inputs) -> Margins:
         variance = t.sigma**2 / (independent * spread)
     tilt_sigma = np.sqrt(variance + np.float32(on.common_tilt**2)).astype(np.float32)
     tilt = _over(lander.max_slope - t.slope, tilt_sigma)
+    margins = [tilt]
     if t.rise is not None and lander.belly_clearance is not None:
         rise_sigma = np.float32(math.sqrt(1 + 1 / _independent_heights(lander, cell, settings))) * local
-        parts, deviation = [_over(lander.belly_clearance - t.rise, rise_sigma)], []
-    else:
-        parts, deviation = [], [_over(lander.max_roughness - t.footprint.roughness, local)]
-    return Margins([tilt, *parts, *([] if t.rotor is None else [t.rotor])], deviation)
+        margins.append(_over(lander.belly_clearance - t.rise, rise_sigma))
+    elif not settings.smoothed:
+        margins.append(_over(lander.max_roughness - t.footprint.roughness, local))
+    return margins if t.rotor is None else [*margins, t.rotor]
 
 
 def _over(margin: F32, sigma: F32) -> F32:

@@ -90,8 +90,8 @@ def feet_of(lander: Lander, cell: float) -> Feet:
     exact = body[:, :1] * ahead + body[:, 1:] * left
     cells = [[_cells_within(foot, lander.foot_radius / cell) for foot in feet] for feet in exact]
     centroids = np.array([[c[:, ::-1].mean(axis=0) for c in feet] for feet in cells])
-    areas = (np.abs(np.linalg.det(_corners(points, triples))) for points in (centroids, exact))
-    apart = np.asarray((next(areas) >= 0.25 * next(areas)).all(axis=1))
+    covered, spanned = (np.abs(np.linalg.det(_corners(points, triples))) for points in (centroids, exact))
+    apart = np.asarray((covered >= 0.25 * spanned).all(axis=1))
     xy = np.where(apart[:, None, None], centroids, exact)
     counts = np.array([[len(c) for c in feet] for feet in cells], np.int64)
     ends = counts.cumsum().reshape(counts.shape)
