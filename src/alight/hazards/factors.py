@@ -190,13 +190,13 @@ def margins_over_sigma(t: Touchdowns, on: Inputs) -> list[F32]:
         variance = t.sigma**2 / (independent * spread)
     tilt_sigma = np.sqrt(variance + np.float32(on.common_tilt**2)).astype(np.float32)
     tilt = _over(lander.max_slope - t.slope, tilt_sigma)
-    margins = [tilt]
+    margins, last = [tilt], list[F32]()
     if t.rise is not None and lander.belly_clearance is not None:
         rise_sigma = np.float32(math.sqrt(1 + 1 / _independent_heights(lander, cell, settings))) * local
         margins.append(_over(lander.belly_clearance - t.rise, rise_sigma))
     elif not settings.smoothed:
-        margins.append(_over(lander.max_roughness - t.footprint.roughness, local))
-    return margins if t.rotor is None else [*margins, t.rotor]
+        last.append(_over(lander.max_roughness - t.footprint.roughness, local))
+    return [*margins, *([] if t.rotor is None else [t.rotor]), *last]
 
 
 def _over(margin: F32, sigma: F32) -> F32:
