@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -225,4 +226,4 @@ def _independent_heights(lander: Lander, cell: float, settings: HazardsSettings)
 
 def kept(margins: Sequence[F32]) -> F32:
     """Compute the probability, (R, C), that all limits are kept, from their margins in sigmas."""
-    return np.asarray(np.prod([ndtr(margin) for margin in margins], axis=0), np.float32)
+    return np.asarray(reduce(np.multiply, map(ndtr, margins)), np.float32)

@@ -90,18 +90,21 @@ def fit_planes(height: F32, spans: I64, planes: F32) -> None:
             rise per column and per row; and the sum of the squared deviations from it.
     """
     rows, cols = height.shape
-    reach, band = spans.size // 2, 4 * spans.size  # rows whose running sums are kept at a time: a fifth are made twice
+    reach, band = spans.size // 2, 4 * spans.size  # rows of one thread, which makes the sums of a quarter more
     for b in prange((rows + band - 1) // band):
         top, bottom = b * band, min((b + 1) * band, rows)
-        sums, span = np.empty((band + 2 * reach, 6, cols + 1 + 2 * reach)), np.empty((6, cols))
-        for q in range(max(top - reach, 0), min(bottom + reach, rows)):
-            _row_sums(height[q], reach, sums[q - top + reach])
-        for r in range(top, bottom):
+        sums, span = np.empty((spans.size, 6, cols + 1 + 2 * reach)), np.empty((6, cols))  # the newest rows, in turn
+        for q in range(max(top - reach, 0), bottom + reach):
+            if q < rows:
+                _row_sums(height[q], reach, sums[q % spans.size])
+            r = q - reach
+            if r < top:
+                continue
             moments = np.zeros((10, cols))
             for i in range(max(0, reach - r), min(spans.size, rows + reach - r)):
                 lo, hi = reach - spans[i], reach + spans[i] + 1
                 for j in range(6):
-                    line = sums[r + i - top, j]
+                    line = sums[(r + i - reach) % spans.size, j]
                     _between(line[lo : lo + cols], line[hi : hi + cols], span[j])
                 _add_moments(span, float(i - reach), moments)
             for c in range(cols):

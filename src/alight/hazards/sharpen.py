@@ -119,11 +119,10 @@ def find_light(height: F32, image: F32, lit: Mask, pixel: float) -> Sunlight:
 
 def in_shadow(height: F32, light: Sunlight, pixel: float, longest: int = 400) -> Mask:
     """Return the mask of pixels in shadow: turned away from the sun, or behind an object within `longest` pixels."""
-    level = math.hypot(light.sun[0], light.sun[1])
+    level, out = math.hypot(light.sun[0], light.sun[1]), np.zeros(height.shape, dtype=np.bool_)
     if level < 1e-6:
-        return np.zeros(height.shape, dtype=np.bool_)
+        return out
     towards = light.sun[:2] / level
-    out = np.zeros(height.shape, dtype=np.bool_)
     cast_shadows(height, float(towards[1]), float(towards[0]), light.sun[2] / level * pixel, longest, out)
     along, across = gradients(height, pixel)
     return out | (light.brightness(along, across)[0] < light.ambient)
