@@ -23,8 +23,8 @@ from ground_maps import HOWS, TUNING, judgeable
 from ground_truth import GroundTruth
 
 from alight.arrays import F32, F64, I64, Mask
-from alight.hazards.evidence import patch_mean, picture_spots, power_of_bumps, relief_power
-from alight.raster import distance_to, ellipse, local_max
+from alight.hazards.evidence import patch_mean, picture_spots, power_of_bumps
+from alight.raster import distance_to, ellipse, filled_surface, local_max
 from alight.records import LANDABLE, Terrain
 from alight.settings import Lander, Settings
 
@@ -79,7 +79,8 @@ def obstacles_of(name: str, how: str, scratch: Path, lander: Lander) -> Obstacle
     east, north = grid.east + cols[which] * grid.cell, grid.north - rows[which] * grid.cell
     reach = max(1, round(NEAR / e.grid.cell))
     spots = patch_mean(picture_spots(e, limit).power, e.grid.cell, limit)
-    relief, spot = (local_max(_root(v), reach) for v in (relief_power(e, limit), spots))
+    bumps = power_of_bumps(filled_surface(e.height), e.grid.cell, limit)
+    relief, spot = (local_max(_root(v), reach) for v in (bumps, spots))
     true = _root(power_of_bumps(dem, grid.cell, limit))
     quiet = local_max(true, max(1, round(2 * NEAR / grid.cell))) < QUIET
     inner = distance_to(~(e.trusted & j.seen)) * e.grid.cell > RIM

@@ -25,10 +25,10 @@ from p_safe import Part, Rows, fit, folds_of
 from scipy.special import ndtr
 
 from alight.arrays import F64, Mask
-from alight.hazards.assessment import evidence
-from alight.hazards.evidence import unlike_ground
-from alight.hazards.factors import with_floors
-from alight.hazards.touchdown import Inputs
+from alight.hazards.assessment import limits_broken
+from alight.hazards.evidence import evidence_of, unlike_ground
+from alight.hazards.factors import margins_over_sigma, with_floors
+from alight.hazards.touchdown import Inputs, measure
 from alight.learned import Rate
 from alight.learned.terms import NEAR_TERMS, FloorTerm
 from alight.settings import Settings
@@ -56,7 +56,10 @@ class NearSample:
 
 def _cells(look: Look, rng: np.random.Generator) -> NearSample | None:
     s, j = Settings().stages(), look.judgeable
-    found, reasons = evidence(Inputs(j.elevation, cover_of(j), s.lander, s.hazards))
+    on = Inputs(j.elevation, cover_of(j), s.lander, s.hazards)
+    touchdowns = measure(on)
+    found, reasons = evidence_of(touchdowns, on), limits_broken(touchdowns, on)
+    p_tilt = np.nan_to_num(ndtr(margins_over_sigma(touchdowns, on)[0]))
     discs, truth = found.discs, GroundTruth(j.truth, s.lander)
     kept = (discs.largest(j.seen.astype(np.float32)) > 0) & look.about(discs.grid)
     kept &= (discs.largest((reasons != 0).astype(np.float32)) == 0) & (found.near >= LEAST_NEARNESS)
@@ -69,7 +72,7 @@ def _cells(look: Look, rng: np.random.Generator) -> NearSample | None:
         return truth.on(discs.grid, truth.near(mask)).ravel()[some]
 
     terms = np.stack([np.nan_to_num(found.terms[t].ravel()[some]) for t in NEAR_TERMS], axis=1)
-    tilt = discs.coarse(np.nan_to_num(ndtr(found.tilt)).astype(np.float32)).ravel()[some]
+    tilt = discs.coarse(p_tilt.astype(np.float32)).ravel()[some]
     return NearSample(
         family_of(j.name), terms.astype(np.float64), tilt.astype(np.float64),
         truly(truth.level), truly(truth.bears), truly(truth.level & truth.bears),

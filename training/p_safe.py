@@ -26,8 +26,10 @@ from scipy.optimize import minimize
 from scipy.special import ndtr
 
 from alight.arrays import F32, F64, I64, Mask
-from alight.hazards.assessment import evidence
-from alight.hazards.touchdown import Inputs
+from alight.hazards.assessment import limits_broken
+from alight.hazards.evidence import evidence_of
+from alight.hazards.factors import margins_over_sigma
+from alight.hazards.touchdown import Inputs, measure
 from alight.learned import Rate
 from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, RELIEF_TERMS
 from alight.settings import Settings
@@ -89,7 +91,10 @@ class Rows:
 def sample(j: Judgeable, tables: Tables, about: Look | None = None, most: int = SOME) -> Sample:
     """Draw cells of one map, or those about the place of a look, and look up the truth."""
     s = Settings().stages()
-    found, reasons = evidence(Inputs(j.elevation, cover_of(j, tables), s.lander, s.hazards))
+    on = Inputs(j.elevation, cover_of(j, tables), s.lander, s.hazards)
+    touchdowns = measure(on)
+    found, reasons = evidence_of(touchdowns, on), limits_broken(touchdowns, on)
+    p_tilt = np.nan_to_num(ndtr(margins_over_sigma(touchdowns, on)[0]))
     discs, truth = found.discs, GroundTruth(j.truth, s.lander)
     seen = discs.largest(j.seen.astype(np.float32)) > 0
     cells = np.flatnonzero(seen if about is None else seen & about.about(discs.grid))
@@ -100,7 +105,7 @@ def sample(j: Judgeable, tables: Tables, about: Look | None = None, most: int = 
 
     return Sample(
         j.name, family_of(j.name), {k: v.ravel()[some] for k, v in found.terms.items()}, found.hidden.ravel()[some],
-        discs.coarse(np.nan_to_num(ndtr(found.tilt))).ravel()[some],
+        discs.coarse(p_tilt).ravel()[some],
         discs.largest((reasons != 0).astype(np.float32)).ravel()[some] == 0,
         truly(truth.near(truth.even)), truly(truth.near(truth.bears)), truly(truth.safe), truly(truth.near(truth.safe)),
     )  # fmt: skip

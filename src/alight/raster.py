@@ -206,6 +206,11 @@ class WeightedMean(NamedTuple):
     mean: F32  # not reliable where the share is below `LEAST_SHARE`
     share: F32  # share of the Gaussian's weight on cells with positive weight, 0 to 1
 
+    @property
+    def where_near(self) -> F32:
+        """The mean, NaN where no cell with weight is near."""
+        return np.where(self.share > LEAST_SHARE, self.mean, np.float32(np.nan))
+
 
 def _blurred_small(values: F32, size: tuple[int, int], sigma: float) -> F32:
     return np.asarray(cv2.GaussianBlur(cv2.resize(values, size, interpolation=cv2.INTER_AREA), (0, 0), sigma))
@@ -247,20 +252,16 @@ def weighted_gaussian(values: F32, weight: F32, sigma: float) -> WeightedMean:
 def masked_gaussian(values: F32, weight: F32, sigma: float) -> F32:
     """Compute the mean of `weighted_gaussian`, (R, C), with NaN where no cell with weight is near."""
     if sigma <= 8.0:
-        return _where_known(weighted_gaussian(values, weight, sigma))
+        return weighted_gaussian(values, weight, sigma).where_near
     n = int(sigma / 4.0)  # wide Gaussians: on a coarser raster, then interpolated
     size = (max(1, round(values.shape[1] / n)), max(1, round(values.shape[0] / n)))
     total, share = (_blurred_small(a, size, sigma / n) for a in (_weighted(values, weight), weight))
     mean = np.asarray(total / np.maximum(share, LEAST_SHARE), np.float32)
-    return _enlarged(_where_known(WeightedMean(mean, share)), values.shape)
+    return _enlarged(WeightedMean(mean, share).where_near, values.shape)
 
 
 def _weighted(values: F32, weight: F32) -> F32:
     return np.asarray(np.where(weight > 0, values * weight, 0), np.float32)
-
-
-def _where_known(found: WeightedMean) -> F32:
-    return np.asarray(np.where(found.share > LEAST_SHARE, found.mean, np.float32(np.nan)), np.float32)
 
 
 # -- morphology with OpenCV's elliptic structuring element (narrower than a true disc at its ends)

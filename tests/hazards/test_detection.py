@@ -31,6 +31,15 @@ def test_the_unseen_share_is_the_integral_over_the_sizes() -> None:
     assert_allclose(got, want, atol=0.02)
 
 
+def test_the_curves_of_the_package_rise_from_0_to_1() -> None:
+    curves = read_detection()
+    for curve in (curves.heights, curves.pixels):
+        assert curve.shape == curves.sizes.shape
+        assert (np.diff(curve) >= 0).all()
+        assert curve[0] >= 0
+        assert curve[-1] <= 1
+
+
 def test_coarser_pictures_leave_more_unseen() -> None:
     curves = read_detection()
     g = np.geomspace(0.01, 1.0, 40).astype(np.float32)[None]

@@ -197,9 +197,8 @@ def test_the_tilt_of_skids_bounds_that_of_the_lander_at_rest() -> None:
 
 def resting_pitch(along: np.ndarray, left: np.ndarray, right: np.ndarray) -> tuple[float, float]:
     """Range of the pitches at which the rest of one lander is lowest."""
-    joint, rest, low, high = (np.empty(n, np.float32) for n in ((2 * len(along) - 1, 1), 1, 1, 1))
     rails = (np.ascontiguousarray(a[:, None], dtype=np.float32) for a in (left, right))
-    resting_pitches(*rails, along[1] - along[0], joint, rest, low, high)
+    low, high = resting_pitches(*rails, along[1] - along[0])
     return float(low[0]), float(high[0])
 
 

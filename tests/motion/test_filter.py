@@ -10,10 +10,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from point_flight import PointFlight, fed, predicted, run
+from point_flight import RIG, START, PointFlight, fed, predicted, run
 from pose_window import project
 
-from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
+from alight.geometry import Pose, enu_from_flu, so3_exp, so3_log
 from alight.motion import MotionFilter
 from alight.motion.dynamics import Step, propagate
 from alight.motion.ekf.health import GateCounts, Health
@@ -22,19 +22,10 @@ from alight.motion.ekf.state import AT, FilterState
 from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.preintegration import Preintegral, corrected, preintegrate
 from alight.motion.smoother.track_segments import jacobians
-from alight.records import Event, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera, Tracks
+from alight.records import Event, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
 from alight.settings import FilterSettings
 
 MS = 1_000_000
-START = 1_700_000_000_000_000_000
-DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # body_from_cam of a camera that looks down
-CAMERA = Camera(640, 480, 480.0, 480.0, 319.5, 239.5)
-RIG = Rig(
-    (
-        RigCamera("left", CAMERA, Pose(DOWN, [0.1, 0.25, 0.0])),
-        RigCamera("right", CAMERA, Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0])),
-    )
-)
 BIAS = np.array([0.004, -0.003, 0.002, 0.08, -0.05, 0.03])  # rad/s, m/s^2
 NAV_OFF, NAV_TURNED = np.array([0.8, -0.6, 1.4]), np.array([0.006, -0.005, 0.02])
 

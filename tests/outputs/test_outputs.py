@@ -6,7 +6,7 @@ import json
 import math
 import resource
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
@@ -136,13 +136,17 @@ def test_the_curvature_term_agrees_with_geodesy_far_from_the_origin() -> None:
     assert world_up(height, grid, LOCAL)[0, 0] == pytest.approx(1.0, abs=1e-4)
 
 
-def test_flags_name_their_bits(out: Path) -> None:
-    with rasterio.open(out / "flags.tif") as d:
+@pytest.mark.parametrize(
+    ("name", "bits", "values"),
+    [("flags", Flag, lambda: elevation().flags), ("reasons", Hazard, lambda: hazards().reasons)],
+)
+def test_bits_are_named(out: Path, name: str, bits: type[Flag | Hazard], values: Callable[[], np.ndarray]) -> None:
+    with rasterio.open(out / f"{name}.tif") as d:
         assert d.dtypes == ("uint16",)
-        np.testing.assert_array_equal(d.read(1), elevation().flags)
+        np.testing.assert_array_equal(d.read(1), values())
         tags = d.tags(1)
-    for flag in Flag:
-        assert tags[f"bit_{flag.value.bit_length() - 1}"].startswith(f"{flag.name.lower()}: ")
+    for bit in bits:
+        assert tags[f"bit_{bit.value.bit_length() - 1}"].startswith(f"{bit.name.lower()}: ")
 
 
 def test_terrain_has_codes_and_colours(out: Path) -> None:
@@ -163,15 +167,6 @@ def test_safe_is_a_probability(out: Path) -> None:
     assert np.isnan(p[0, 0])
     assert np.nanmin(p) >= 0
     assert np.nanmax(p) <= 1
-
-
-def test_reasons_name_their_bits(out: Path) -> None:
-    with rasterio.open(out / "reasons.tif") as d:
-        assert d.dtypes == ("uint16",)
-        np.testing.assert_array_equal(d.read(1), hazards().reasons)
-        tags = d.tags(1)
-    for reason in Hazard:
-        assert tags[f"bit_{reason.value.bit_length() - 1}"].startswith(f"{reason.name.lower()}: ")
 
 
 def test_hazards_on_coarser_cells_are_written_on_the_grid_of_the_heights(tmp_path: Path) -> None:

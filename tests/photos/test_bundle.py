@@ -96,7 +96,7 @@ def scene(
         common, a, b = np.intersect1d(ids[i], ids[j], return_indices=True)
         spoilt = rng.random(len(common)) < wrong
         b[spoilt] = rng.permutation(b[spoilt])
-        found = verify((camera, camera), features[i], features[j], np.stack([a, b], axis=1), 20)
+        found = verify((camera, camera), features[i], features[j], np.stack([a, b], axis=1))
         pairs += [] if found is None else [Pair(i, j, *found)]
     return Scene(centres, body, points, features, ids, pairs, tracks(features, pairs))
 

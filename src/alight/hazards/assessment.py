@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from alight.arrays import F32, U16, Mask
-from alight.hazards.evidence import Evidence, evidence_of
-from alight.hazards.factors import factors_of, margins_over_sigma
+from alight.hazards.factors import factors_of
 from alight.hazards.touchdown import Inputs, Touchdowns, measure
 from alight.hazards.wires import no_wire, under_wires
 from alight.raster import clearance_of, disc_any, disc_max, disc_mean, log_brightness
@@ -16,7 +15,7 @@ from alight.records import NOTHING_MISSING, ElevationMap, Hazard, HazardMap, Mis
 from alight.settings import HazardsSettings, Lander
 
 
-def _reasons(t: Touchdowns, on: Inputs) -> U16:
+def limits_broken(t: Touchdowns, on: Inputs) -> U16:
     """Return the limits that a touchdown would break, (R, C), as bits of `Hazard`.
 
     The largest of hundreds of noisy heights is mostly noise. If heights are noisy (`smoothed`), a small excess over the
@@ -67,12 +66,6 @@ def _quality(t: Touchdowns, on: Inputs) -> F32:
     return np.asarray(-settings.alpha * flatness - settings.beta * terms, np.float32)
 
 
-def evidence(on: Inputs) -> tuple[Evidence, U16]:
-    """Return the evidence behind P(safe), and the broken limits, (R, C) bits of `Hazard`; tables are fitted to both."""
-    found = measure(on)
-    return evidence_of(found, margins_over_sigma(found, on).tilt, on), _reasons(found, on)
-
-
 def assess(
     elevation: ElevationMap,
     land_cover: TerrainMap | None,
@@ -106,7 +99,7 @@ def assess(
         raise ValueError("land cover and elevation must share one grid")
     on = Inputs(elevation, land_cover, lander, settings)
     found = measure(on)
-    reasons = _reasons(found, on)
+    reasons = limits_broken(found, on)
     for where, margin in ((passed, settings.traffic_margin), (came, 0.0)):
         if where is not None and where.any():
             _refuse(reasons, disc_any(where, lander.reach + margin, on.cell), Hazard.TRAFFIC)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from alight.arrays import F32, F64
 from alight.learned import arrays_of, table_path
@@ -44,8 +45,9 @@ class Detection:
 
         `sampling`, `pixel`: widths of a match sample and of a pixel on the ground. All lengths are in metres.
         """
-        at = [_position(v / np.float32(limit)) for v in (sampling, pixel)]
-        return _bilinear(self._unseen, at[0], at[1])
+        wide = (np.nan_to_num(v / np.float32(limit), nan=np.inf) for v in (sampling, pixel))
+        at = [np.log(v.clip(RATIOS[0], RATIOS[-1]) / RATIOS[0]) / np.log(RATIOS[1] / RATIOS[0]) for v in wide]
+        return np.asarray(map_coordinates(self._unseen, at, order=1, mode="nearest"), np.float32)
 
     @cached_property
     def _unseen(self) -> F64:
@@ -73,30 +75,8 @@ class Detection:
         return np.asarray(pixel * np.interp(ratio, np.log(ratios), found) / WIDE, np.float32)
 
 
-def _position(ratio: F32) -> F64:
-    """Return the fractional index of each ratio in `RATIOS`; values that are not finite give the last index."""
-    known = np.where(np.isfinite(ratio), ratio, RATIOS[-1]).clip(RATIOS[0], RATIOS[-1])
-    return np.asarray(np.log(known / RATIOS[0]) / np.log(RATIOS[1] / RATIOS[0]))
-
-
-def _bilinear(table: F64, row: F64, col: F64) -> F32:
-    r, c = (np.minimum(v.astype(np.int64), len(RATIOS) - 2) for v in (row, col))
-    dr, dc = row - r, col - c
-    top = table[r, c] * (1 - dc) + table[r, c + 1] * dc
-    low = table[r + 1, c] * (1 - dc) + table[r + 1, c + 1] * dc
-    return np.asarray(top * (1 - dr) + low * dr, np.float32)
-
-
 @cache
 def read_detection() -> Detection:
-    """Read the measured curves of the package.
-
-    Raises:
-        ValueError: a curve decreases or leaves the range 0 to 1.
-    """
+    """Read the measured curves of the package."""
     arrays = arrays_of(table_path("detection").read_bytes())
-    sizes, heights, pixels = (arrays[k].astype(np.float64) for k in ("sizes", "heights", "pixels"))
-    for curve in (heights, pixels):
-        if curve.shape != sizes.shape or (np.diff(curve) < 0).any() or not ((curve >= 0) & (curve <= 1)).all():
-            raise ValueError("a curve of the table falls, or leaves 0 to 1")
-    return Detection(sizes, heights, pixels)
+    return Detection(*(arrays[k].astype(np.float64) for k in ("sizes", "heights", "pixels")))

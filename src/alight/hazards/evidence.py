@@ -85,7 +85,6 @@ class Discs:
 class Evidence:
     """Evidence of P(safe) if image matching may have smoothed obstacles away, on the grid of `discs`."""
 
-    tilt: F32  # (R, C) on the map's grid, margin of the tilt to its limit, sigmas
     discs: Discs
     terms: dict[str, F32]  # features of the rates and floors, by identifier (`alight.learned.terms`)
     hidden: F32  # share of obstacles above the limit that heights would not show
@@ -94,8 +93,8 @@ class Evidence:
     near_by_heights: F32  # nearness by the heights only, 0 to 1
 
 
-def evidence_of(t: Touchdowns, tilt: F32, on: Inputs) -> Evidence:
-    """Compute the evidence of P(safe) from the measured touchdowns; `tilt`: margin of the tilt, (R, C) sigmas."""
+def evidence_of(t: Touchdowns, on: Inputs) -> Evidence:
+    """Compute the evidence of P(safe) from the measured touchdowns."""
     e, limit, discs = on.elevation, on.lander.tallest_obstacle, Discs(on.elevation.grid, on.lander.ground_reach)
     sampling, pixel = (discs.mean(discs.coarse(widths(v, on.cell))) for v in (e.sampling, e.picture_sampling))
     curves, nothing = read_detection(), np.full_like(pixel, np.nan)
@@ -112,7 +111,7 @@ def evidence_of(t: Touchdowns, tilt: F32, on: Inputs) -> Evidence:
     if (by_heights > 0).any():
         ridge = discs.worst(discs.largest(straight_ridges(t.measured, on.cell)), beyond=0.0)
     terms |= {NearTerm.GREEN: green, FloorTerm.RIDGE: ridge, FloorTerm.UNLIKE: unlike_ground(terms)}
-    return Evidence(tilt, discs, terms, hidden, unseen, near, by_heights)
+    return Evidence(discs, terms, hidden, unseen, near, by_heights)
 
 
 def widths(metres: F32, cell: float) -> F32:
@@ -131,13 +130,11 @@ def _fineness(width: F32, limit: float, between: tuple[float, float]) -> F32:
     return np.asarray((np.log(far * limit / width) / np.log(far / near)).clip(0, 1), np.float32)
 
 
-def relief_power(elevation: ElevationMap, limit: float) -> F32:
-    """Compute the mean square of relief as wide as an obstacle of height `limit` metres, (R, C), divided by limit^2."""
-    return power_of_bumps(filled_surface(elevation.height), elevation.grid.cell, limit)
-
-
 def power_of_bumps(height: F32, cell: float, limit: float) -> F32:
-    """Compute the mean square relief, (R, C), like `relief_power`, from heights without NaN; all in metres."""
+    """Compute the mean square of relief as wide as an obstacle of height `limit`, (R, C), divided by limit^2.
+
+    `height`: heights without NaN. All lengths are in metres.
+    """
     bumps = difference_of_gaussians(height / np.float32(limit), *(s * limit / cell for s in BAND))
     return patch_mean(bumps * bumps, cell, limit)
 
@@ -153,7 +150,8 @@ def _log_rms(power: F32, floor: float) -> F32:
 
 def _relief_terms(t: Touchdowns, on: Inputs, discs: Discs) -> dict[str, F32]:
     e, limit = on.elevation, on.lander.tallest_obstacle
-    relief, residual = discs.coarse(relief_power(e, limit)), np.nan_to_num(e.residual)
+    relief = discs.coarse(power_of_bumps(filled_surface(e.height), on.cell, limit))
+    residual = np.nan_to_num(e.residual)
     deviations = {
         ReliefTerm.ROUGHNESS: t.footprint.roughness,
         ReliefTerm.ROUGHNESS_SMOOTH: t.smooth_roughness,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import reduce
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -16,8 +16,9 @@ from scipy.special import ndtr, ndtri
 from alight.arrays import F32
 from alight.hazards.detection import Detection, read_detection
 from alight.hazards.evidence import Discs, Evidence, evidence_of, ground_terms, widths
-from alight.hazards.touchdown import CERTAIN, NO_NOISE, Inputs, Touchdowns
+from alight.hazards.touchdown import Inputs, Touchdowns
 from alight.learned import read_floors, read_rate
+from alight.learned.terms import GroundTerm
 from alight.raster import log_at_least
 from alight.records import MissingVeto, Terrain
 from alight.settings import HazardsSettings, Lander
@@ -45,20 +46,18 @@ def factors_of(t: Touchdowns, on: Inputs, missing: MissingVeto) -> SafetyFactors
     if on.settings.smoothed:
         return _of_matched_heights(t, margins, on, missing)
     hidden = np.float32(on.settings.hidden_hazard) * t.footprint.unknown
-    relief = kept([*margins.vehicle, *margins.deviation]) * (1 - hidden)
+    relief = kept(margins) * (1 - hidden)
     ground, never = np.ones_like(relief), np.full_like(relief, np.nan)
     if on.land_cover is not None:
         discs = Discs(on.elevation.grid, on.lander.ground_reach)
-        wet = _wet(ground_terms(on.elevation, on.land_cover, discs))
-        ground = discs.fine(_p_ground(wet, discs, on, missing))
+        terms = ground_terms(on.elevation, on.land_cover, discs)
+        ground = discs.fine(_p_ground(_wet(terms), terms, discs, on, missing))
     return SafetyFactors(relief, _beyond_cells(on), ground, np.full_like(relief, on.cell), never)
 
 
-def _of_matched_heights(t: Touchdowns, margins: Margins, on: Inputs, missing: MissingVeto) -> SafetyFactors:
-    tilt, vehicle = margins.tilt, margins.vehicle
-    del margins  # the deviation is among the evidence
-    obstacle, ground = _chances(evidence_of(t, tilt, on), on, missing)
-    relief, least = kept(vehicle), np.minimum.reduce(vehicle)
+def _of_matched_heights(t: Touchdowns, margins: list[F32], on: Inputs, missing: MissingVeto) -> SafetyFactors:
+    obstacle, ground = _chances(evidence_of(t, on), on, missing)
+    relief, least = kept(margins), np.minimum.reduce(margins)
     sampling, pixel = (widths(v, on.cell) for v in (on.elevation.sampling, on.elevation.picture_sampling))
     curves = read_detection()
     enough = pixel_that_settles(curves, on.lander, on.settings)
@@ -90,7 +89,7 @@ def _chances(found: Evidence, on: Inputs, missing: MissingVeto) -> tuple[F32, F3
     }
     expected = with_floors(expected, found.terms, {"all": found.near, "heights": found.near_by_heights})
     hazards = expected["obstacle"] + found.near * found.unseen * usual
-    ground = _p_ground(expected["ground"], found.discs, on, missing)
+    ground = _p_ground(expected["ground"], found.terms, found.discs, on, missing)
     return found.discs.fine(np.exp(-hazards)), found.discs.fine(ground)
 
 
@@ -99,10 +98,20 @@ def _wet(terms: Mapping[str, F32]) -> F32:
     return np.asarray(np.exp(read_rate("ground_rate").log_rate(terms)), np.float32)
 
 
-def _p_ground(wet: F32, discs: Discs, on: Inputs, missing: MissingVeto) -> F32:
-    """Compute the probability of firm, dry ground from the hazards that are expected by its look, `wet`."""
-    wet = wet + _unlike_dry_ground(on, discs) + np.float32(_unrefused(on, missing))
-    return np.asarray(np.exp(-wet), np.float32)
+def _p_ground(wet: F32, terms: Mapping[str, F32], discs: Discs, on: Inputs, missing: MissingVeto) -> F32:
+    """Compute the probability of firm, dry ground from the hazards that are expected by its look, `wet`.
+
+    Missing vetoes, a level surface below its banks and ground unlike the training data add to them.
+    """
+    settings, cover = on.settings, on.land_cover
+    unseen = settings.one_camera_hazard if MissingVeto.SECOND_CAMERA in missing else 0.0
+    unseen += settings.unchecked_hazard if MissingVeto.ATTITUDE in missing else 0.0
+    if cover is not None:
+        unseen += 0.0 if cover.coloured else settings.unchecked_hazard
+        novel = np.nan_to_num(discs.mean(discs.coarse(np.maximum(cover.novelty - 1, 0))))
+        enclosed = np.float32(settings.enclosed_hazard) * terms[GroundTerm.ENCLOSED]
+        wet = wet + (enclosed + np.float32(settings.novel_hazard) * novel)
+    return np.asarray(np.exp(-(wet + np.float32(unseen))), np.float32)
 
 
 def _blended(afar: F32, name: str, found: Evidence) -> F32:
@@ -127,14 +136,6 @@ def with_floors(
     return out
 
 
-def _unrefused(on: Inputs, missing: MissingVeto) -> float:
-    """Return the expected hazards of every footprint due to missing vetoes."""
-    settings, cover = on.settings, on.land_cover
-    grey = settings.unchecked_hazard if cover is not None and not cover.coloured else 0.0
-    alone = settings.one_camera_hazard if MissingVeto.SECOND_CAMERA in missing else 0.0
-    return grey + alone + (settings.unchecked_hazard if MissingVeto.ATTITUDE in missing else 0.0)
-
-
 def _density(on: Inputs, discs: Discs) -> F32:
     """Return the prior density of obstacles by land-cover class, 1/m^2, before any observation."""
     settings, cover = on.settings, on.land_cover
@@ -145,18 +146,6 @@ def _density(on: Inputs, discs: Discs) -> F32:
         for kind, density in usual.items():
             out = np.where(cover.label == kind, np.float32(density), out)
     return discs.mean(discs.coarse(out))
-
-
-def _unlike_dry_ground(on: Inputs, discs: Discs) -> F32:
-    """Return the expected hazards due to level surfaces below their banks, and to ground unlike the training data."""
-    settings, cover = on.settings, on.land_cover
-    if cover is None:
-        return np.zeros(discs.grid.shape, np.float32)
-    enclosed = discs.worst(discs.largest(cover.enclosed))
-    novel = np.nan_to_num(discs.mean(discs.coarse(np.maximum(cover.novelty - 1, 0))))
-    return np.asarray(
-        np.float32(settings.enclosed_hazard) * enclosed + np.float32(settings.novel_hazard) * novel, np.float32
-    )
 
 
 def pixel_that_settles(curves: Detection, lander: Lander, settings: HazardsSettings) -> float:
@@ -178,7 +167,7 @@ def _settles_at(factors: tuple[F32, F32, F32], least: F32, pixel: F32, shows: fl
     """
     (relief, obstacle, ground), fine = factors, np.float32(shows)
     half = np.float32(0.5) * pixel
-    closer = np.where(pixel > fine, np.minimum(fine, pixel), half)
+    closer = np.where(pixel > fine, fine, half)
     enough = np.float32(ndtri(1 - SETTLED * (1 - on.settings.p_safe)))
     flatter = pixel * (least / enough).clip(0, 1)
     out = np.where(relief < np.minimum(obstacle, ground), np.minimum(flatter, half), closer)
@@ -186,16 +175,12 @@ def _settles_at(factors: tuple[F32, F32, F32], least: F32, pixel: F32, shows: fl
     return np.where(out >= np.float32(FINEST * on.lander.tallest_obstacle), out, np.float32(np.nan)).astype(np.float32)
 
 
-class Margins(NamedTuple):
-    """Margins of every touchdown to its limits, (R, C) sigmas each."""
+def margins_over_sigma(t: Touchdowns, on: Inputs) -> list[F32]:
+    """Compute the margins of every touchdown to its limits, (R, C) sigmas each (G7 to G9).
 
-    tilt: F32
-    vehicle: list[F32]  # tilt, belly if it is judged, rotors if they reach beyond the footprint
-    deviation: list[F32]  # deviation of the ground from the plane; empty if the belly is judged instead
-
-
-def margins_over_sigma(t: Touchdowns, on: Inputs) -> Margins:
-    """Compute the margins to the limits of tilt, of rise or deviation, and of the rotors, in sigmas (G7 to G9)."""
+    The limits are those of the tilt, which comes first, of the rise or the deviation of the ground, and of the rotors
+    if they reach beyond the footprint. The deviation of matched heights is left out, as it is among the evidence.
+    """
     lander, settings, cell = on.lander, on.settings, on.cell
     local = np.fmin(t.sigma, t.footprint.scatter)  # noise that is not common to the whole footprint
     if lander.has_gear:
@@ -206,18 +191,19 @@ def margins_over_sigma(t: Touchdowns, on: Inputs) -> Margins:
         variance = t.sigma**2 / (independent * spread)
     tilt_sigma = np.sqrt(variance + np.float32(on.common_tilt**2)).astype(np.float32)
     tilt = _over(lander.max_slope - t.slope, tilt_sigma)
+    margins, last = [tilt], list[F32]()
     if t.rise is not None and lander.belly_clearance is not None:
         rise_sigma = np.float32(math.sqrt(1 + 1 / _independent_heights(lander, cell, settings))) * local
-        parts, deviation = [_over(lander.belly_clearance - t.rise, rise_sigma)], []
-    else:
-        parts, deviation = [], [_over(lander.max_roughness - t.footprint.roughness, local)]
-    return Margins(tilt, [tilt, *parts, *([] if t.rotor is None else [t.rotor])], deviation)
+        margins.append(_over(lander.belly_clearance - t.rise, rise_sigma))
+    elif not settings.smoothed:
+        last.append(_over(lander.max_roughness - t.footprint.roughness, local))
+    return [*margins, *([] if t.rotor is None else [t.rotor]), *last]
 
 
 def _over(margin: F32, sigma: F32) -> F32:
-    sure = np.where(margin >= 0, CERTAIN, -CERTAIN)
-    out = np.where(sigma > NO_NOISE, margin / np.maximum(sigma, np.float32(NO_NOISE)), sure)
-    return np.asarray(np.where(np.isfinite(margin), out, np.float32(np.nan)), np.float32)
+    """Divide; without noise a limit is certainly kept or broken."""
+    out = np.divide(margin, sigma, out=np.copysign(np.float32(np.inf), margin), where=sigma > 0)
+    return np.where(np.isnan(margin), np.float32(np.nan), out)
 
 
 def _gear_lever(lander: Lander, cell: float, settings: HazardsSettings) -> float:
@@ -240,7 +226,4 @@ def _independent_heights(lander: Lander, cell: float, settings: HazardsSettings)
 
 def kept(margins: Sequence[F32]) -> F32:
     """Compute the probability, (R, C), that all limits are kept, from their margins in sigmas."""
-    p = ndtr(margins[0])
-    for margin in margins[1:]:
-        p = p * ndtr(margin)
-    return np.asarray(p, np.float32)
+    return np.asarray(reduce(np.multiply, map(ndtr, margins)), np.float32)

@@ -12,31 +12,28 @@ from alight.arrays import F32, F64, I64, Mask
 from alight.compiled import kernel, parallel_kernel, prange
 
 
-@parallel_kernel
-def row_sums(height: F32, reach: int, sums: F64) -> None:
-    """Fill `sums` (R, 6, C + 1 + 2 reach) with running sums along each row of k, k c, k c^2, k h, k c h, k h^2.
+@kernel
+def _row_sums(line: F32, reach: int, sums: F64) -> None:
+    """Fill `sums` (6, C + 1 + 2 reach) with running sums along a row (C,) of k, k c, k c^2, k h, k c h, k h^2.
 
     k is 1 where the height h is known, else 0; c is the column. The first `reach` + 1 columns are 0, the last `reach`
     columns repeat the total.
     """
-    rows, cols = height.shape
-    for r in prange(rows):
-        n = s1 = s2 = sh = sch = shh = 0.0
-        sums[r, :, : reach + 1] = 0.0
-        for c in range(cols):
-            h = height[r, c]
-            if not math.isnan(h):
-                n += 1.0
-                s1 += c
-                s2 += c * c
-                sh += h
-                sch += c * h
-                shh += float(h) * h
-            at = c + reach + 1
-            sums[r, 0, at], sums[r, 1, at], sums[r, 2, at] = n, s1, s2
-            sums[r, 3, at], sums[r, 4, at], sums[r, 5, at] = sh, sch, shh
-        for i in range(6):
-            sums[r, i, cols + reach + 1 :] = sums[r, i, cols + reach]
+    n = s1 = s2 = sh = sch = shh = 0.0
+    sums[:, : reach + 1] = 0.0
+    for c in range(line.size):
+        h = line[c]
+        if not math.isnan(h):
+            n += 1.0
+            s1 += c
+            s2 += c * c
+            sh += h
+            sch += c * h
+            shh += float(h) * h
+        at = c + reach + 1
+        sums[0, at], sums[1, at], sums[2, at], sums[3, at], sums[4, at], sums[5, at] = n, s1, s2, sh, sch, shh
+    for i in range(6):
+        sums[i, line.size + reach + 1 :] = sums[i, line.size + reach]
 
 
 @kernel
@@ -47,7 +44,7 @@ def _between(first: F64, last: F64, out: F64) -> None:
 
 @kernel
 def _add_moments(span: F64, y: float, moments: F64) -> None:
-    """Add the sums `span` (6, C) over one row of every footprint, `y` rows off its centre, to `moments` (9, C)."""
+    """Add the sums `span` (6, C) over one row of every footprint, `y` rows off its centre, to `moments` (10, C)."""
     for c in range(span.shape[1]):
         x = float(c)
         k, kc, kh = span[0, c], span[1, c], span[3, c]
@@ -61,76 +58,66 @@ def _add_moments(span: F64, y: float, moments: F64) -> None:
         moments[6, c] += kh
         moments[7, c] += span[4, c] - x * kh
         moments[8, c] += y * kh
+        moments[9, c] += span[5, c]
 
 
 @kernel
-def _solve(
-    n: float, sx: float, sy: float, sxx: float, sxy: float, syy: float, sh: float, sxh: float, syh: float
-) -> tuple[float, float, float, float]:
-    """Solve the least-squares plane of G1 from sums about the centre.
+def _solve(m: F64) -> tuple[float, float, float, float]:
+    """Solve the least-squares plane of G1 from moments (10,) about the centre.
 
     Returns:
-        Level, gradient x, gradient y, and the sum of squares that the gradients explain; all NaN without a plane.
+        Level, gradient x, gradient y, and the sum of squared deviations; all NaN without a plane.
     """
-    mx, my, mh = sx / n, sy / n, sh / n
-    cxx, cxy, cyy = sxx - n * mx * mx, sxy - n * mx * my, syy - n * my * my
+    n, mx, my, mh = m[0], m[1] / m[0], m[2] / m[0], m[6] / m[0]
+    cxx, cxy, cyy = m[3] - n * mx * mx, m[4] - n * mx * my, m[5] - n * my * my
     det = cxx * cyy - cxy * cxy
-    if not det > 1e-6 * (1.0 + cxx * cyy):
+    if n < 3.0 or not det > 1e-6 * (1.0 + cxx * cyy):
         return math.nan, math.nan, math.nan, math.nan
-    cxh, cyh = sxh - n * mx * mh, syh - n * my * mh
+    cxh, cyh = m[7] - n * mx * mh, m[8] - n * my * mh
     gx = (cyy * cxh - cxy * cyh) / det
     gy = (cxx * cyh - cxy * cxh) / det
-    return mh - gx * mx - gy * my, gx, gy, gx * cxh + gy * cyh
+    return mh - gx * mx - gy * my, gx, gy, max(0.0, m[9] - m[6] * m[6] / n - (gx * cxh + gy * cyh))
 
 
 @parallel_kernel
-def fit_planes(sums: F64, spans: I64, count: F32, level: F32, grad_c: F32, grad_r: F32, squares: F32) -> None:
+def fit_planes(height: F32, spans: I64, planes: F32) -> None:
     """Fit the least-squares plane of the footprint around every cell (G1).
 
     Args:
-        sums: (R, 6, C + 1 + 2 n) from `row_sums`.
+        height: (R, C), NaN = unknown.
         spans: (2 n + 1,) half widths in cells of the rows of the disc.
-        count: (R, C) filled with the number of known cells in the footprint.
-        level, grad_c, grad_r: (R, C) filled with the plane at the centre and its rise per column and per row.
-        squares: (R, C) filled with the sum of the squared deviations from the plane.
+        planes: (5, R, C) filled with the number of known cells in the footprint; the plane's height at the centre, its
+            rise per column and per row; and the sum of the squared deviations from it.
     """
-    rows, cols = count.shape
-    reach = spans.size // 2
-    for r in prange(rows):
-        span, moments, power = np.empty((6, cols)), np.zeros((9, cols)), np.zeros(cols)
-        for i in range(spans.size):
-            q = r + i - reach
-            if q < 0 or q >= rows:
+    rows, cols = height.shape
+    reach, band = spans.size // 2, 4 * spans.size  # rows of one thread, which makes the sums of a quarter more
+    for b in prange((rows + band - 1) // band):
+        top, bottom = b * band, min((b + 1) * band, rows)
+        sums, span = np.empty((spans.size, 6, cols + 1 + 2 * reach)), np.empty((6, cols))  # the newest rows, in turn
+        for q in range(max(top - reach, 0), bottom + reach):
+            if q < rows:
+                _row_sums(height[q], reach, sums[q % spans.size])
+            r = q - reach
+            if r < top:
                 continue
-            lo, hi = reach - spans[i], reach + spans[i] + 1
-            for j in range(6):
-                _between(sums[q, j, lo : lo + cols], sums[q, j, hi : hi + cols], span[j])
-            _add_moments(span, float(i - reach), moments)
-            power += span[5]
-        for c in range(cols):
-            m = moments[:, c]
-            count[r, c] = m[0]
-            if m[0] < 3.0:
-                level[r, c] = grad_c[r, c] = grad_r[r, c] = squares[r, c] = math.nan
-                continue
-            a, gx, gy, explained = _solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
-            level[r, c], grad_c[r, c], grad_r[r, c] = a, gx, gy
-            squares[r, c] = max(0.0, power[c] - m[6] * m[6] / m[0] - explained)
+            moments = np.zeros((10, cols))
+            for i in range(max(0, reach - r), min(spans.size, rows + reach - r)):
+                lo, hi = reach - spans[i], reach + spans[i] + 1
+                for j in range(6):
+                    line = sums[(r + i - reach) % spans.size, j]
+                    _between(line[lo : lo + cols], line[hi : hi + cols], span[j])
+                _add_moments(span, float(i - reach), moments)
+            for c in range(cols):
+                planes[0, r, c] = moments[0, c]
+                planes[1, r, c], planes[2, r, c], planes[3, r, c], planes[4, r, c] = _solve(moments[:, c])
 
 
 @kernel
-def _widen(top: F32, low: F32, line: F32, base: F32, grad: F32, x: float) -> None:
-    """Widen the range [low, top] to include `line - base - x * grad`, the height above the plane, cell by cell."""
-    for c in range(top.size):
-        d = line[c] - base[c] - x * grad[c]
-        t, b = top[c], low[c]
-        top[c] = d if d > t else t
-        low[c] = d if d < b else b
+def _widen(top: F32, low: F32, line: F32, after: F32, base: F32, grad: F32, x: float, y: float) -> None:
+    """Widen the range [low, top] to include the heights above the plane, `line - base - x grad`, of two lines at once.
 
-
-@kernel
-def _widen_by_two(top: F32, low: F32, line: F32, after: F32, base: F32, grad: F32, x: float, y: float) -> None:
-    """Widen [low, top] by two lines of heights in one pass, `line` at `x` and `after` at `y`; see `_widen`."""
+    The other line is `after`, at `y`; one line at a time takes 1.6 times as long.
+    """
     for c in range(top.size):
         level, slope, t, b = base[c], grad[c], top[c], low[c]
         d, e = line[c] - level - x * slope, after[c] - level - y * slope
@@ -140,8 +127,29 @@ def _widen_by_two(top: F32, low: F32, line: F32, after: F32, base: F32, grad: F3
         low[c] = e if e < b else b
 
 
+@parallel_kernel
+def deviations(padded: F32, planes: F32, spans: I64, above: F32, below: F32) -> None:
+    """Raise `above` and lower `below`, (R, C) zeros, to the largest and smallest h - plane in the footprint (G2).
+
+    `padded` (R, C + 2 n) holds the heights h, with n = len(spans) // 2 unknown columns on both sides; `planes`: see
+    `fit_planes`.
+    """
+    rows, cols = above.shape
+    reach = spans.size // 2
+    for r in prange(rows):
+        base = np.empty(cols, np.float32)
+        for i in range(max(0, reach - r), min(spans.size, rows + reach - r)):
+            line, dr = padded[r + i - reach], np.float32(i - reach)
+            for c in range(cols):
+                base[c] = planes[1, r, c] + dr * planes[3, r, c]
+            for dc in range(-spans[i], spans[i] + 1, 2):
+                x, y = dc, min(dc + 1, spans[i])
+                first, second = line[reach + x : reach + x + cols], line[reach + y : reach + y + cols]
+                _widen(above[r], below[r], first, second, base, planes[2, r], np.float32(x), np.float32(y))
+
+
 @kernel
-def _lower_to_margin(least: F32, line: F32, weight: F32, base: F32, grad: F32, x: float) -> None:
+def _lower(least: F32, line: F32, weight: F32, base: F32, grad: F32, x: float) -> None:
     """Lower `least` to `(base + x * grad - line) * weight`, the weighted distance below the plane, cell by cell."""
     for c in range(least.size):
         e = (base[c] + x * grad[c] - line[c]) * weight[c]
@@ -150,81 +158,26 @@ def _lower_to_margin(least: F32, line: F32, weight: F32, base: F32, grad: F32, x
 
 
 @parallel_kernel
-def deviations(padded: F32, level: F32, grad_c: F32, grad_r: F32, spans: I64, above: F32, below: F32) -> None:
-    """Fill `above` and `below` (R, C) with the largest and smallest h - plane in the footprint (G2); 0 without a plane.
+def lower_to_margins(padded: F32, weight: F32, offsets: I64, level: F32, grad_c: F32, grad_r: F32, least: F32) -> None:
+    """Lower `least` (R, C) to the least (plane - height) * weight of the cells at `offsets` (n, 2), (row, column).
 
-    `padded` (R, C + 2 n) holds the heights h, with n = len(spans) // 2 unknown columns on both sides.
+    Args:
+        padded, weight: (R + 2 pad, C + 2 pad) heights and weights, NaN where unknown and off the map.
+        offsets: of up to `pad` cells, row by row.
+        level, grad_c, grad_r: (R, C) plane of each cell: level, gradient per column, gradient per row.
+        least: filled with inf.
     """
-    rows, cols = level.shape
-    reach = spans.size // 2
+    rows, cols = least.shape
+    pad = (padded.shape[1] - cols) // 2
     for r in prange(rows):
         base = np.empty(cols, np.float32)
-        gc = grad_c[r]
-        top, low = above[r], below[r]
-        top[:] = np.float32(0.0)
-        low[:] = np.float32(0.0)
-        for i in range(spans.size):
-            q = r + i - reach
-            if q < 0 or q >= rows:
-                continue
-            line = padded[q]
-            for c in range(cols):
-                base[c] = level[r, c] + np.float32(i - reach) * grad_r[r, c]
-            _widen(top, low, line[reach - spans[i] : reach - spans[i] + cols], base, gc, np.float32(-spans[i]))
-            for dc in range(1 - spans[i], spans[i] + 1, 2):
-                at = reach + dc
-                left, right = line[at : at + cols], line[at + 1 : at + 1 + cols]
-                _widen_by_two(top, low, left, right, base, gc, np.float32(dc), np.float32(dc + 1))
-
-
-@parallel_kernel
-def neighbour_steps(height: F32, step: F32) -> None:
-    """Fill `step` (R, C) with the largest height difference to the four neighbours, if known; NaN for unknown cells."""
-    rows, cols = height.shape
-    for r in prange(rows):
-        for c in range(cols):
-            h = height[r, c]
-            worst = h - h  # 0, or NaN where h is unknown
-            if r > 0:
-                worst = max(worst, abs(height[r - 1, c] - h))
-            if r < rows - 1:
-                worst = max(worst, abs(height[r + 1, c] - h))
-            if c > 0:
-                worst = max(worst, abs(height[r, c - 1] - h))
-            if c < cols - 1:
-                worst = max(worst, abs(height[r, c + 1] - h))
-            step[r, c] = worst
-
-
-@parallel_kernel
-def least_margin(
-    height: F32, weight: F32, level: F32, grad_c: F32, grad_r: F32, inner: I64, outer: I64, out: F32
-) -> None:
-    """Fill `out` (R, C) with the least (plane - height) * weight in the ring between two discs; inf without heights.
-
-    `inner`, `outer`: half width of each row of the discs, cells; both have the rows of the outer disc, -1: no cells.
-    """
-    rows, cols = height.shape
-    reach = outer.size // 2
-    for r in prange(rows):
-        base = np.empty(cols, np.float32)
-        gc = grad_c[r]
-        least = out[r]
-        least[:] = np.float32(np.inf)
-        for i in range(outer.size):
-            q = r + i - reach
-            if q < 0 or q >= rows:
-                continue
-            line, heavy = height[q], weight[q]
-            for c in range(cols):
-                base[c] = level[r, c] + np.float32(i - reach) * grad_r[r, c]
-            for dc in range(-outer[i], outer[i] + 1):
-                if abs(dc) <= inner[i]:
-                    continue
-                lo, hi = max(0, -dc), min(cols, cols - dc)
-                if hi > lo:
-                    there, its = line[lo + dc : hi + dc], heavy[lo + dc : hi + dc]
-                    _lower_to_margin(least[lo:hi], there, its, base[lo:hi], gc[lo:hi], np.float32(dc))
+        for i in range(offsets.shape[0]):
+            dr, at = offsets[i, 0], pad + offsets[i, 1]
+            if i == 0 or dr != offsets[i - 1, 0]:
+                for c in range(cols):
+                    base[c] = level[r, c] + np.float32(dr) * grad_r[r, c]
+            there, its = padded[r + pad + dr][at : at + cols], weight[r + pad + dr][at : at + cols]
+            _lower(least[r], there, its, base, grad_c[r], np.float32(offsets[i, 1]))
 
 
 @parallel_kernel

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import combinations
 
 import cv2
 import numpy as np
 
 from alight.arrays import F32, F64, I64, Mask
-from alight.hazards import contact_kernels as kernels
-from alight.hazards.belly_kernels import BLOCK
+from alight.hazards.contact_kernels import BLOCK, Belly, Feet, Skids, feet_contact, skid_contact
 from alight.hazards.touchdown import Footprint
 from alight.raster import RIM, disc_spans
 from alight.settings import Lander
@@ -19,19 +17,15 @@ from alight.settings import Lander
 COARSE = 3.0  # least gauge or length of skids, cells: below, rounding to cells spoils the tilt
 
 
-def directions(headings: int) -> F64:
-    """Return forward unit vectors (column, row), (headings, 2), for evenly spaced headings clockwise from north."""
-    angle = 2 * math.pi * np.arange(headings) / headings
-    return np.stack([np.sin(angle), -np.cos(angle)], axis=1)
-
-
 def unlike_directions(headings: int, points: F64) -> F64:
-    """Return `directions` without headings whose contacts coincide with the contacts of an earlier heading.
+    """Return forward unit vectors (column, row), (n, 2), for `headings` evenly spaced headings clockwise from north.
 
-    `points`: (n, 2) contacts (forward, left), metres.
+    Headings whose contacts coincide with those of an earlier heading are left out; `points`: (n, 2) contacts (forward,
+    left), metres.
     """
     kept: dict[bytes, F64] = {}
-    for ahead in directions(headings):
+    for angle in 2 * math.pi * np.arange(headings) / headings:
+        ahead = np.array([np.sin(angle), -np.cos(angle)])
         at = np.rint(1e6 * (points[:, :1] * ahead + points[:, 1:] * [ahead[1], -ahead[0]])) + 0.0
         kept.setdefault(at[np.lexsort(at.T)].tobytes(), ahead)
     return np.array(list(kept.values()))
@@ -47,28 +41,6 @@ def block_starts(spans: I64, side: int) -> I64:
     return starts[nearest_first].astype(np.int64)
 
 
-@dataclass(frozen=True, eq=False)
-class Feet:
-    """Cells under each foot at each heading."""
-
-    xy: F64  # (headings, feet, 2) contact of each foot: (column, row) offset in cells, centroid of its cells
-    offsets: I64  # (n, 2) (row, column) offsets of the cells under all feet
-    starts: I64  # (headings, feet + 1) first index of each foot's cells in `offsets`
-    triples: I64  # (t, 3) indices of three feet that can carry the lander
-    solve: F64  # (headings, t, 3, 3) matrices from three feet's heights to their plane (level, per column, per row)
-    coarse: bool  # whether the cells do not separate three feet at some heading
-
-
-@dataclass(frozen=True, eq=False)
-class Skids:
-    """Cells under each rail at each heading."""
-
-    axes: F64  # (headings, 2) forward unit vector (column, row)
-    offsets: I64  # (headings, 2, n, 2) (row, column) offsets under the left and the right rail
-    along: F64  # (headings, n) position along the rail, cells, evenly spaced over the length of its cells
-    gauge: F64  # (headings,) distance between the cells of both rails, cells
-
-
 def _cells_within(centre: F64, radius_cells: float) -> I64:
     """Return (row, column), (n, 2), of the cells centred in the disc around `centre` (column, row); at least one."""
     near = np.round(centre)
@@ -78,34 +50,24 @@ def _cells_within(centre: F64, radius_cells: float) -> I64:
     return (inside if len(inside) else near[None])[:, ::-1].astype(np.int64)
 
 
-def _holds_centre(corners: F64) -> bool:
-    """Whether the origin lies in the triangle (3, 2) or on its edge; otherwise the lander would tip over."""
-    weights = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [0.0, 0.0, 1.0])
-    return bool((weights >= -1e-6).all())
-
-
-def _double_areas(points: F64, triples: I64) -> F64:
-    """Return twice the area, (..., t), of triangles of points (..., n, 2); `triples`: (t, 3) indices of corners."""
-    u, v = (points[..., triples[:, k], :] - points[..., triples[:, 0], :] for k in (1, 2))
-    return np.asarray(np.abs(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]))
+def _corners(points: F64, triples: I64) -> F64:
+    """Return the matrices (..., t, 3, 3) with rows (1, x, y) of the corners of triangles; `points`: (..., n, 2)."""
+    corners = points[..., triples, :]
+    return np.concatenate([np.ones((*corners.shape[:-1], 1)), corners], axis=-1)
 
 
 def _triples(feet: F64, any_three: bool) -> I64:
     """Return the indices (t, 3) of three feet each that can carry the lander; small triangles are left out.
 
-    Triangles that do not hold the lander's centre are left out as well, unless `any_three` or no triangle holds it.
+    Triangles that do not hold the lander's centre, where it would tip over, are left out as well, unless `any_three` or
+    no triangle holds it.
     """
-    every = list(combinations(range(len(feet)), 3))
-    area = _double_areas(feet, np.array(every))
-    thick = [t for t, a in zip(every, area, strict=True) if a >= 0.1 * area.max()]
-    held = [t for t in thick if _holds_centre(feet[list(t)])]
-    return np.array(thick if any_three or not held else held, dtype=np.int64)
-
-
-def _solves(xy: F64, triples: I64) -> F64:
-    """Return the matrices (headings, t, 3, 3) that turn the heights of three feet into the plane through them."""
-    corners = xy[:, triples]  # (headings, t, 3, 2)
-    return np.ascontiguousarray(np.linalg.inv(np.concatenate([np.ones((*corners.shape[:3], 1)), corners], axis=-1)))
+    every = np.array(list(combinations(range(len(feet)), 3)))
+    area = np.abs(np.linalg.det(_corners(feet, every)))
+    thick = every[area >= 0.1 * area.max()]
+    weights = np.linalg.inv(_corners(feet, thick))[:, 0]  # of the corners at the centre
+    held = (weights >= -1e-6).all(axis=1)
+    return np.asarray(thick if any_three or not held.any() else thick[held], np.int64)
 
 
 def is_coarse(lander: Lander, cell: float) -> bool:
@@ -128,13 +90,15 @@ def feet_of(lander: Lander, cell: float) -> Feet:
     exact = body[:, :1] * ahead + body[:, 1:] * left
     cells = [[_cells_within(foot, lander.foot_radius / cell) for foot in feet] for feet in exact]
     centroids = np.array([[c[:, ::-1].mean(axis=0) for c in feet] for feet in cells])
-    apart = np.asarray((_double_areas(centroids, triples) >= 0.25 * _double_areas(exact, triples)).all(axis=1))
+    covered, spanned = (np.abs(np.linalg.det(_corners(points, triples))) for points in (centroids, exact))
+    apart = np.asarray((covered >= 0.25 * spanned).all(axis=1))
     xy = np.where(apart[:, None, None], centroids, exact)
     counts = np.array([[len(c) for c in feet] for feet in cells], np.int64)
     ends = counts.cumsum().reshape(counts.shape)
     starts = np.concatenate([ends[:, :1] - counts[:, :1], ends], axis=1)
     offsets = np.concatenate([c for feet in cells for c in feet])
-    return Feet(xy, offsets, starts, triples, _solves(xy, triples), not apart.all())
+    how = (not bool(apart.all()), lander.foot_contact == "mean", lander.support == "any")
+    return Feet(xy, offsets, starts, triples, np.asarray(np.linalg.inv(_corners(xy, triples)), np.float64), *how)
 
 
 def skids_of(lander: Lander, cell: float) -> Skids:
@@ -177,21 +141,38 @@ def gear_contact(
         metres. A rise farther than `spare` from the belly clearance is only known to be above or below it. NaN where a
         foot or rail would rest on unknown ground, and where `skip` is True.
     """
-    scale, known, spans = np.float32(1 / cell), np.isfinite(height), disc_spans(lander.radius / cell)
-    ground, low = (np.where(known, height * scale, np.float32(unknown)) for unknown in (np.inf, -np.inf))
-    body = np.pad(low, spans.size // 2 + BLOCK, constant_values=-np.inf)
+    scale, spans = np.float32(1 / cell), disc_spans(lander.radius / cell)
+    heights = height * scale
+    body = np.pad(np.fmax(heights, np.float32(-np.inf)), spans.size // 2 + BLOCK, constant_values=-np.inf)
     block = np.ones((BLOCK, BLOCK), np.uint8)
     tops = cv2.dilate(body, block, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT, borderValue=-np.inf)
     own = np.stack([a * scale for a in (footprint.level, footprint.grad_c, footprint.grad_r, footprint.rise)])
+    own[3, skip] = -np.inf
     clearance = math.inf if lander.belly_clearance is None else lander.belly_clearance
-    about = (spans, block_starts(spans, BLOCK), ((clearance - spare) / cell, (clearance + spare) / cell))
-    tilt, rise = np.empty_like(height), np.empty_like(height)
+    least, most = (clearance - spare) / cell, (clearance + spare) / cell
+    belly = Belly(body, tops, own, spans, block_starts(spans, BLOCK), least, most)
+    tilt, rise = np.empty_like(height), np.full_like(height, least)
     if lander.feet is not None:
-        f = feet_of(lander, cell)
-        how = (lander.foot_contact == "mean", lander.support == "any")
-        feet = (f.xy, f.solve, f.offsets, f.starts, f.triples)
-        kernels.feet_contact(ground, body, tops, skip, own, *feet, *about, *how, tilt, rise)
+        feet = feet_of(lander, cell)
+        ground, lost = _under_gear(heights, feet.offsets)
+        feet_contact(ground, feet, belly, tilt, rise)
     else:
-        s = skids_of(lander, cell)
-        kernels.skid_contact(ground, body, tops, skip, own, s.axes, s.offsets, s.along, s.gauge, *about, tilt, rise)
-    return np.arctan(tilt), rise * np.float32(cell)
+        skids = skids_of(lander, cell)
+        ground, lost = _under_gear(heights, skids.offsets)
+        skid_contact(ground, skids, belly, tilt, rise)
+    lost |= skip
+    nan = np.float32(np.nan)
+    return np.where(lost, nan, np.arctan(tilt)), np.where(lost, nan, rise * np.float32(cell))
+
+
+def _under_gear(height: F32, offsets: I64) -> tuple[F32, Mask]:
+    """Pad heights (R, C) by the reach of the gear, +inf where unknown; mark touchdowns on unknown ground, (R, C).
+
+    `offsets`: (..., 2) (row, column) offsets of the cells under the gear at all headings.
+    """
+    pad = int(np.abs(offsets).max())
+    under = np.zeros((2 * pad + 1, 2 * pad + 1), np.uint8)
+    under[tuple(offsets.reshape(-1, 2).T + pad)] = 1
+    unknown = np.isnan(height)
+    lost = cv2.dilate(unknown.astype(np.uint8), under, borderType=cv2.BORDER_CONSTANT, borderValue=1) > 0
+    return np.pad(np.where(unknown, np.float32(np.inf), height), pad, constant_values=np.inf), np.asarray(lost)

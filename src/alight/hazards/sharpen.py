@@ -9,9 +9,11 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.sparse.linalg import LinearOperator, cg
 
 from alight.arrays import F32, F64, U8, Mask
@@ -23,7 +25,6 @@ from alight.spread import SIGMA_OF_MAD
 
 log = logging.getLogger(__name__)
 
-DIFFERENCE, SMOOTHING = np.array([-1, 0, 1], np.float32), np.array([1, 2, 1], np.float32)
 HEIGHT_FLOOR = 0.001  # metres, least sigma of a cell
 ROUNDS = ((1, 15), (1, 15), (3, 30))  # Gauss-Newton and conjugate-gradient steps; the first two only find the light
 UNALTERNATED = np.array([-1, 4, 10, 4, -1], np.float32) / 16  # preserves cubics, removes alternation of pixels
@@ -31,36 +32,24 @@ UNALTERNATED = np.array([-1, 4, 10, 4, -1], np.float32) / 16  # preserves cubics
 Operator = Callable[[F32], F32]
 
 
-def cell_weights(factor: int) -> F32:
-    """Return the weights (2 factor,) of the pixels in a cell made by linear resampling: a tent two cells wide (S2).
+@cache
+def coarsening(cells: int, factor: int) -> csr_array:
+    """Return the weights (cells, cells * factor) of the pixels along an axis in each cell (S2).
 
-    The tent starts `factor` / 2 pixels before the cell's own pixels; it is centred only for even factors.
+    Cells are made by linear resampling: the weights are a tent two cells wide, which starts `factor` / 2 pixels before
+    the cell's own pixels, so it is centred only for even factors. Beyond the border, the last pixel is repeated.
     """
     tent = 1 - np.abs((np.arange(2 * factor) + 0.5) / factor - 1.0)
-    return np.asarray(tent / tent.sum(), np.float32)
+    at = np.arange(cells)[:, None] * factor + np.arange(2 * factor) - factor // 2
+    weights = np.tile(tent / tent.sum(), cells).astype(np.float32)
+    places = np.repeat(np.arange(cells), 2 * factor), at.clip(0, cells * factor - 1).ravel()
+    return csr_array((weights, places), shape=(cells, cells * factor))
 
 
 def coarsen(fine: F32, factor: int) -> F32:
-    """Compute the heights of the cells from the heights of the pixels (S2); border heights are repeated."""
-    weights, before = cell_weights(factor), factor // 2
-    padded = cv2.copyMakeBorder(fine, before, factor, before, factor, cv2.BORDER_REPLICATE)
-    rows, cols = fine.shape[0] // factor, fine.shape[1] // factor
-    tall = sum(w * padded[i : i + rows * factor : factor] for i, w in enumerate(weights))
-    wide = sum(w * tall[:, i : i + cols * factor : factor] for i, w in enumerate(weights))
-    return np.ascontiguousarray(wide, dtype=np.float32)
-
-
-def coarsen_transposed(cells: F32, factor: int) -> F32:
-    """Apply the transpose of `coarsen`, except at the border, where the repeated pixels are left out."""
-    weights, before = cell_weights(factor), factor // 2
-    rows, cols = cells.shape[0] * factor, cells.shape[1] * factor
-    wide = np.zeros((cells.shape[0], cols + before + factor), np.float32)
-    for i, w in enumerate(weights):
-        wide[:, i : i + cols : factor] += w * cells
-    tall = np.zeros((rows + before + factor, wide.shape[1]), np.float32)
-    for i, w in enumerate(weights):
-        tall[i : i + rows : factor] += w * wide
-    return np.ascontiguousarray(tall[before : before + rows, before : before + cols])
+    """Compute the heights of the cells from the heights of the pixels (S2)."""
+    down, along = (coarsening(n // factor, factor) for n in fine.shape)
+    return np.ascontiguousarray(down @ fine @ along.T)
 
 
 def _laplacian(z: F32) -> F32:
@@ -69,20 +58,14 @@ def _laplacian(z: F32) -> F32:
     return out
 
 
-def _conjugate_gradients(normal: Operator, right: F32, diagonal: F32, steps: int) -> F32:
-    """Solve `normal(x) = right` by conjugate gradients; the `diagonal` of `normal` serves as preconditioner."""
-    shape, size = right.shape, right.size
-    matrix = LinearOperator((size, size), lambda x: normal(x.reshape(shape)).ravel(), dtype=np.float32)
-    jacobi = LinearOperator((size, size), lambda x: x.ravel() / diagonal.ravel(), dtype=np.float32)
-    return np.asarray(cg(matrix, right.ravel(), rtol=1e-6, maxiter=steps, M=jacobi)[0], np.float32).reshape(shape)
+def _gradient(height: F32, pixel: float, axis: int, border: int = cv2.BORDER_DEFAULT) -> F32:
+    out = cv2.Sobel(height, cv2.CV_32F, 1 - axis, axis, scale=1 / (8 * pixel), borderType=border)
+    return np.asarray(out, np.float32)
 
 
 def gradients(height: F32, pixel: float) -> tuple[F32, F32]:
     """Compute Sobel gradients per column and per row, (R, C) metres per metre; `pixel`: width of a pixel, metres."""
-    scale = np.float32(1 / (8 * pixel))
-    along = cv2.sepFilter2D(height, cv2.CV_32F, DIFFERENCE * scale, SMOOTHING)
-    across = cv2.sepFilter2D(height, cv2.CV_32F, SMOOTHING, DIFFERENCE * scale)
-    return np.asarray(along), np.asarray(across)
+    return _gradient(height, pixel, 0), _gradient(height, pixel, 1)
 
 
 def _up(along: F32, across: F32) -> F32:
@@ -97,11 +80,6 @@ class Sunlight:
     ambient: float  # grey levels
     spread: float  # grey levels, 1-sigma of the residual
     explained: float  # share of the image's variance that the model explains
-
-    @property
-    def elevation(self) -> float:
-        """Elevation of the sun above the horizon, rad."""
-        return math.atan2(self.sun[2], math.hypot(self.sun[0], self.sun[1]))
 
     def brightness(self, along: F32, across: F32) -> tuple[F32, F32, F32]:
         """Compute the brightness (R, C) at gradients per column and row, and its derivatives with respect to them."""
@@ -141,12 +119,11 @@ def find_light(height: F32, image: F32, lit: Mask, pixel: float) -> Sunlight:
 
 def in_shadow(height: F32, light: Sunlight, pixel: float, longest: int = 400) -> Mask:
     """Return the mask of pixels in shadow: turned away from the sun, or behind an object within `longest` pixels."""
-    level = math.hypot(light.sun[0], light.sun[1])
+    level, out = math.hypot(light.sun[0], light.sun[1]), np.zeros(height.shape, dtype=np.bool_)
     if level < 1e-6:
-        return np.zeros(height.shape, dtype=np.bool_)
+        return out
     towards = light.sun[:2] / level
-    out = np.zeros(height.shape, dtype=np.bool_)
-    cast_shadows(height, float(towards[1]), float(towards[0]), math.tan(light.elevation) * pixel, longest, out)
+    cast_shadows(height, float(towards[1]), float(towards[0]), light.sun[2] / level * pixel, longest, out)
     along, across = gradients(height, pixel)
     return out | (light.brightness(along, across)[0] < light.ambient)
 
@@ -182,26 +159,32 @@ def _step(scene: _Scene, z: F32, light: Sunlight, lit: Mask, iterations: int) ->
     scale = np.float32(1 / (8 * scene.pixel))
 
     def transposed(u: F32, v: F32) -> F32:
-        along = cv2.sepFilter2D(u, cv2.CV_32F, DIFFERENCE * scale, SMOOTHING, borderType=cv2.BORDER_CONSTANT)
-        across = cv2.sepFilter2D(v, cv2.CV_32F, SMOOTHING, DIFFERENCE * scale, borderType=cv2.BORDER_CONSTANT)
-        return np.asarray(-along - across)
+        along, across = (_gradient(a, scene.pixel, k, cv2.BORDER_CONSTANT) for k, a in enumerate((u, v)))
+        return -along - across
+
+    down, wide = (coarsening(n, scene.factor) for n in scene.cells.shape)
+
+    def spread(cells: F32) -> F32:
+        return np.ascontiguousarray(down.T @ (scene.cell_weight * cells) @ wide)
 
     def normal(x: F32) -> F32:
         gx, gy = gradients(x, scene.pixel)
         seen = weight * (dp * gx + dq * gy)
-        cells = coarsen_transposed(scene.cell_weight * coarsen(x, scene.factor), scene.factor)
-        return np.asarray(cells + transposed(dp * seen, dq * seen) + _laplacian(stiff * _laplacian(x)))
+        return np.asarray(
+            spread(coarsen(x, scene.factor)) + transposed(dp * seen, dq * seen) + _laplacian(stiff * _laplacian(x))
+        )
 
-    right = coarsen_transposed(scene.cell_weight * (scene.cells - coarsen(z, scene.factor)), scene.factor)
+    right = spread(scene.cells - coarsen(z, scene.factor))
     right += transposed(weight * dp * off, weight * dq * off) - _laplacian(stiff * bend)
-    share = (float((cell_weights(scene.factor) ** 2).sum()) / scene.factor) ** 2
-    each = cv2.resize(scene.cell_weight, z.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    diagonal = share * each + weight * (dp**2 + dq**2) * 12 * scale**2 + 20 * stiff
-    return _conjugate_gradients(normal, right.astype(np.float32), diagonal.astype(np.float32), iterations)
+    diagonal = down.power(2).T @ scene.cell_weight @ wide.power(2) + weight * (dp**2 + dq**2) * 12 * scale**2
+    diagonal += 20 * stiff
+    matrix = LinearOperator((z.size, z.size), lambda x: normal(x.reshape(z.shape)).ravel(), dtype=np.float32)
+    jacobi = LinearOperator((z.size, z.size), lambda x: x.ravel() / diagonal.ravel(), dtype=np.float32)
+    return np.asarray(cg(matrix, right.ravel(), rtol=1e-6, maxiter=iterations, M=jacobi)[0].reshape(z.shape))
 
 
-def _solve(scene: _Scene) -> tuple[F32, Mask, Sunlight] | None:
-    """Return fine heights, mask of lit pixels and light; None if shading does not explain the image."""
+def _solve(scene: _Scene) -> tuple[F32, Mask] | None:
+    """Return fine heights and the mask of lit pixels; None if shading does not explain the image."""
     z = np.asarray(cv2.resize(scene.cells, scene.image.shape[::-1], interpolation=cv2.INTER_CUBIC))
     small = np.asarray(cv2.resize(scene.image, scene.cells.shape[::-1], interpolation=cv2.INTER_AREA))
     known = scene.cell_weight > 0
@@ -220,7 +203,7 @@ def _solve(scene: _Scene) -> tuple[F32, Mask, Sunlight] | None:
             z = z + _step(scene, z, light, use, iterations)
         at = light.sun.round(1), light.ambient, light.spread, dark
         log.info("light %s, ambient %.1f, left %.2f, shadow below %.0f", *at)
-    return np.asarray(cv2.sepFilter2D(z, cv2.CV_32F, UNALTERNATED, UNALTERNATED)), lit, light
+    return np.asarray(cv2.sepFilter2D(z, cv2.CV_32F, UNALTERNATED, UNALTERNATED)), lit
 
 
 def _sigma(z: F32, lit: Mask, elevation: ElevationMap, factor: int) -> F32:
@@ -258,22 +241,19 @@ def sharpen(elevation: ElevationMap, image: U8, tuning: SharpenTuning) -> Elevat
     pixel = elevation.grid.cell / factor
     fine = grey_levels(image).astype(np.float32) + np.float32(0.5)
     found = _solve(_Scene(cells, weight, fine, factor, pixel, tuning))
-    return None if found is None else _refined(elevation, found[0] + np.float32(level), found[1], image, factor)
-
-
-def _refined(elevation: ElevationMap, z: F32, lit: Mask, image: U8, factor: int) -> ElevationMap:
-    height = np.where(upsample(np.isfinite(elevation.height), factor), z, np.float32(np.nan))
-    rgb = rgb_levels(image)
+    if found is None:
+        return None
+    z, lit = found[0] + np.float32(level), found[1]
     return replace(
         elevation,
         grid=elevation.grid.finer(factor),
-        height=height,
+        height=np.where(upsample(np.isfinite(elevation.height), factor), z, np.float32(np.nan)),
         sigma=_sigma(z, lit, elevation, factor),
         flags=upsample(elevation.flags, factor),
         views=upsample(elevation.views, factor),
-        rgb=rgb,
+        rgb=rgb_levels(image),
         residual=upsample(elevation.residual, factor),
         sampling=upsample(elevation.sampling, factor),
         fine=None,
-        fine_sampling=np.full(rgb.shape[:2], elevation.grid.cell / factor, np.float32),
+        fine_sampling=np.full(z.shape, pixel, np.float32),
     )

@@ -25,7 +25,7 @@ from alight.motion.observations import Clones, WindowObservations, cameras_at
 from alight.motion.point_kernels import marginalise_tracks, nearest_to_rays, triangulate_tracks
 
 NEAR = 0.1  # m; a camera does not observe points closer along its axis, or behind it
-MIN_POSES = 3  # poses that must have observed a track before it is used
+MIN_POSES = 3  # poses that must have observed a track before it is used; so least exposures of a smoothed flight
 WEAK_PRIOR = 1e-9  # 1/m^2 added to a point's information, so that even a point at infinity has a covariance
 
 

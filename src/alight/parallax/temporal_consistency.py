@@ -18,11 +18,11 @@ import numpy as np
 from alight.arrays import F32, I64, U8, U16, Mask
 from alight.parallax import consistency_kernels as kernels
 from alight.parallax.gauss_newton import Fit
+from alight.parallax.views import BLOCK
 from alight.raster import block_mean, upsample
 from alight.records import ElevationMap, Flag, View, is_trusted
 from alight.settings.tuning.parallax import UncertaintyTuning
 
-BLOCK = 8  # cells
 SIDE = 2  # instants that must show the ground before a change, and after it
 AROUND = 3  # blocks across the window of the sums for a change or a contradiction
 

@@ -22,7 +22,7 @@ from alight.records import View
 NORM_CELLS = 5  # cells, window of the local mean and deviation; 9 cells smear walls and give a third more noise
 NORM_FLOOR = 3.0  # grey levels, least standard deviation: noise is not amplified to texture
 STEEPEST = np.cos(np.radians(75.0))  # cosine of the largest angle of used views and rays from straight down
-BLOCK = 8  # cells on a side of a block of which it is decided as a whole where its rays may end
+BLOCK = 8  # cells on a side of a block of which it is decided as a whole where its rays may end, and whether it moves
 LEAST_SIDE = 8  # pixels, least length of the shorter side of a picture that is made coarser
 
 

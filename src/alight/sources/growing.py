@@ -12,6 +12,7 @@ import numpy as np
 
 from alight.records import Event, Frame, InputError
 from alight.settings import Settings
+from alight.sources.bags.growth import POLL
 from alight.sources.calibrated_folder import CalibratedFolder
 from alight.sources.streams import (
     COLUMNS,
@@ -25,7 +26,6 @@ from alight.sources.streams import (
     usable_nav,
 )
 
-POLL = 0.01  # s between two reads of the folder
 PARTNER = 0.15  # s that an image waits for the image of another camera
 WRITTEN = 1.0  # s allowed from an image's row until its file is complete
 

@@ -21,7 +21,7 @@ from alight.flight.executive.descent import Descent
 from alight.flight.executive.executive import Executive
 from alight.flight.executive.looks import LookLeg, LookPlanner
 from alight.flight.executive.places import KnownPlaces
-from alight.flight.executive.table import CROSSING, JUDGE_EVERY, TABLE
+from alight.flight.executive.table import JUDGE_EVERY, TABLE
 from alight.flight.executive.ways import ClearWay, SearchLanes, square_spiral
 from alight.landing.route import Obstructions, way_below
 from alight.records import Flag, Hazard, MotionState, MovingBody, Sites, Terrain
@@ -67,7 +67,7 @@ def test_a_look_is_judged_at_the_end_of_its_leg() -> None:
     def note(now: Situation, executive: Executive) -> Situation:
         if executive.state is S.LOOK:
             assert executive.need is not None
-            crossed.append((now.t, executive.need.seconds == CROSSING))
+            crossed.append((now.t, executive.need.seconds == JUDGE_EVERY[S.APPROACH]))
         elif executive.need is not None:
             assert executive.need.seconds == JUDGE_EVERY[executive.state]
         return now

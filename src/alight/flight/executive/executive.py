@@ -22,7 +22,7 @@ from alight.flight.executive.limits import AttemptLimits
 from alight.flight.executive.looks import LookPlanner
 from alight.flight.executive.places import KnownPlaces
 from alight.flight.executive.search import Goal, Search
-from alight.flight.executive.table import AT_A_PLACE, CROSSING, DOWN, ENDS, JUDGE_EVERY, TABLE, Event
+from alight.flight.executive.table import AT_A_PLACE, DOWN, ENDS, JUDGE_EVERY, TABLE, Event
 from alight.flight.executive.visit import Visit
 from alight.flight.executive.ways import ClearWay, Course
 from alight.landing.wind import ground_speed, is_from_behind
@@ -79,9 +79,9 @@ class Executive:
 
     @property
     def need(self) -> Need | None:
-        """Verdicts needed now; None: no verdicts. Few are needed along a look leg, as a look is judged at its end."""
+        """Verdicts needed now; None: no verdicts. Few are needed along a look leg: a look is judged at its end."""
         place, crosses = self.target, self._visit is not None and self._visit.crosses
-        seconds = CROSSING if crosses else JUDGE_EVERY.get(self.state)
+        seconds = JUDGE_EVERY.get(FlightState.APPROACH if crosses else self.state)
         about = None if place is None else np.array([place.east, place.north])
         return None if seconds is None else Need(seconds, about)
 

@@ -15,7 +15,6 @@ AT_A_PLACE = (S.APPROACH, S.LOOK, S.DESCEND)
 DOWN = (S.COMMIT, S.ABORT, S.HOLD, S.RETURN)  # the ground ends these states, and every climb in them
 ENDS = (S.LANDED, S.RETURN, S.HANDED_OVER)
 JUDGE_EVERY = {S.SEARCH: 2.0, S.APPROACH: 2.0, S.LOOK: 0.6, S.DESCEND: 1.5, S.COMMIT: 0.5}  # s between two verdicts
-CROSSING = 2.0  # s between two verdicts while a look leg is flown
 
 
 def _rows() -> Mapping[tuple[FlightState, FlightEvent], FlightState]:

@@ -19,7 +19,6 @@ from alight.records import Event, Frame, ImuSample, NavSample
 log = logging.getLogger(__name__)
 
 JUMP = 1.0  # s, more than any expected variation of the delay
-STEP_BACK = JUMP / 2  # s, of the stamps at a jump back; the time between two events makes it smaller than the jump
 USUAL = 30.0  # s, over which the least delay counts as the usual one: a backlog has longer delays only
 
 STREAMS: dict[type, str] = {Frame: "frames", NavSample: "GPS/INS rows", ImuSample: "IMU rows"}
@@ -52,7 +51,8 @@ class StreamClock:
         """
         ahead = 1e-9 * (t_ns + self._shift_ns) - arrival
         off = ahead - self._ahead[0][1] if self._ahead else 0.0
-        stepped = self._newest_ns is not None and 1e-9 * (self._newest_ns - t_ns) > STEP_BACK
+        # half a jump: the time between two events makes the step of the stamps smaller than the jump
+        stepped = self._newest_ns is not None and 1e-9 * (self._newest_ns - t_ns) > JUMP / 2
         self._newest_ns = t_ns
         if off > JUMP:
             self._take_out(off)

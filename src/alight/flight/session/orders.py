@@ -20,7 +20,7 @@ from alight.settings import ExecutiveSettings
 TOUCH, LOW = 1.0, 3.0  # m above the estimated height of the site
 TOUCH_NS, STILL_NS = 800_000_000, 2_000_000_000  # time without sinking at a touchdown: below TOUCH, and below LOW
 AGAIN_NS = 2_000_000_000  # until a refused mode is ordered again
-REFUSALS = 3  # of one mode in a row, after which a person is warned, and a mode to stop by is given up
+REFUSALS = 3  # of one mode, or of a stop of the motors, in a row: a person is warned, a mode to stop by is given up
 LEAST_SPEED = 0.2  # m/s: an autopilot refuses a speed of 0
 
 

@@ -16,7 +16,7 @@ from alight.flight.executive.search import Goal
 from alight.flight.live.sight import SightNavigation
 from alight.flight.session.dry_run import VehicleCommands
 from alight.flight.session.inputs import LandingInputs
-from alight.flight.session.orders import OrderSender
+from alight.flight.session.orders import REFUSALS, OrderSender
 from alight.geometry import Grid, LocalFrame
 from alight.outputs.reading import EarlierSite
 from alight.outputs.recorder import Recorder
@@ -35,7 +35,6 @@ from alight.settings import Settings
 
 TICK_NS = 100_000_000  # between two decisions of the executive
 STANDS_NS = 5_000_000_000  # from the touchdown to the first request to stop the motors, and between requests
-REQUESTS = 3  # requests after which a person is warned
 ENDS = (FlightState.LANDED, FlightState.HANDED_OVER)
 
 
@@ -98,11 +97,11 @@ class MotorStop:
             return
         if self._since_ns is None:
             self._since_ns = now_ns
-        if now_ns - self._since_ns < STANDS_NS or self._requests > REQUESTS:
+        if now_ns - self._since_ns < STANDS_NS or self._requests > REFUSALS:
             return
         self._since_ns, self._requests = now_ns, self._requests + 1
-        if self._requests > REQUESTS:
-            self._warn(f"it stands, and its motors were not stopped at {REQUESTS} requests: stop them by hand")
+        if self._requests > REFUSALS:
+            self._warn(f"it stands, and its motors were not stopped at {REFUSALS} requests: stop them by hand")
             return
         self._commands.disarm()
         self._warn("it stands, and its motors still turn: they are ordered to stop")

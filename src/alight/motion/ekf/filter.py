@@ -34,7 +34,6 @@ from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)
 
-LEAST_EXPOSURES = 3  # least exposures of a flight that is smoothed
 _IMU_KEEP_NS = 1_000_000_000  # ns of IMU samples kept beyond the largest lateness
 _MIN_AHEAD_NS = 3_000_000  # ns by which an exposure must follow its stamp to wait for the IMU
 _RATE_HALF_WINDOW_NS = 15_000_000  # ns, half of the time over which the angular velocity is averaged

@@ -16,6 +16,7 @@ from alight.motion.points import marginalise_points
 from alight.motion.robust import robust_pose_weights
 from alight.records import KeyframePosterior, Motion
 from alight.settings import FilterSettings
+from alight.spread import contradicts
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +70,7 @@ class CloneWindow:
             gain = np.asarray(np.linalg.inv(np.eye(len(P)) + A @ P))
             whitened = gain @ (b + A @ error)  # P^-1 error
             error = P @ whitened
-            if not whitened @ error <= self.settings.unlikely * len(P):  # so that NaN is refused
+            if contradicts(float(whitened @ error), len(P)):
                 log.info("observations of %d features contradict the poses, which stay as they were", used.sum())
                 return self
             clones = self.clones.moved(error)

@@ -16,13 +16,14 @@ import numpy as np
 from alight.arrays import F64
 from alight.geometry import Pose, so3_exp, so3_log
 from alight.motion.dynamics import Step, add_bias_walk, nav_decay, propagate
-from alight.motion.ekf.filter import LEAST_EXPOSURES, RecordedFlight
+from alight.motion.ekf.filter import RecordedFlight
 from alight.motion.ekf.keyframe_posterior import relative_inflation
 from alight.motion.ekf.prediction import instant
 from alight.motion.ekf.state import AT, POSITION_FIRST
 from alight.motion.gps_ins import SLOW, Quantity, sigmas, whites
 from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.observations import observation_sigma
+from alight.motion.points import MIN_POSES
 from alight.motion.preintegration import Preintegral, corrected, preintegrate
 from alight.motion.robust import cauchy
 from alight.motion.smoother.block_tridiagonal import BlockTridiagonal
@@ -45,7 +46,7 @@ _ENOUGH = np.repeat([5e-5, 1e-3], 3)  # rad, m: the solution has converged if al
 
 def smooth_flight(recording: RecordedFlight) -> RefinedMotions:
     """Smooth all exposures; the result is empty if there are too few exposures or no solution."""
-    if len(recording.exposures) < LEAST_EXPOSURES:
+    if len(recording.exposures) < MIN_POSES:
         return RefinedMotions((), None)
     try:
         return _Batch(recording).run()

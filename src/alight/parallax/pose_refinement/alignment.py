@@ -25,6 +25,7 @@ from alight.parallax.views import Buffers, Kept, Prepared, centres_of, maps, sam
 from alight.records import REFUSED, Datum, ElevationMap, Flag, KeyframePosterior
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import PoseRefinementTuning
+from alight.spread import contradicts
 
 log = logging.getLogger(__name__)
 
@@ -165,7 +166,7 @@ class Alignment:
             A, b = damping @ seen, damping @ b
             whitened = np.asarray(np.linalg.solve(one + A @ P, b + A @ x))  # P^-1 x
             x = P @ whitened
-        if not whitened @ x <= tuning.unlikely * len(x):  # so that NaN is refused
+        if contradicts(float(whitened @ x), len(x)):
             log.info("the pictures contradict the prior of the poses, which stay as they were")
             return prior, np.zeros(PLANE)
         across, shared = (

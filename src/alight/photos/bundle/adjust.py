@@ -19,14 +19,13 @@ from alight.jobs import InTurn, Jobs, Task
 from alight.photos.bundle.exposure import exposure_gains
 from alight.photos.bundle.features import PhotoFeatures, colmap, extract_all, taken_by
 from alight.photos.bundle.height_check import check_heights, score_focal
-from alight.photos.bundle.matching import BundleObservations, Pair, match_pairs, neighbours, tracks
+from alight.photos.bundle.matching import LEAST_MATCHED, BundleObservations, Pair, match_pairs, neighbours, tracks
 from alight.photos.bundle.orientation import first_poses
 from alight.photos.bundle.patch_matching import refine_observations
 from alight.photos.bundle.priors import corrected_priors, levelled, make_priors, observable_lens, one_compass
 from alight.photos.bundle.rounds import ROUNDS, coarse_rounds, do_rounds, resect, retriangulate
 from alight.photos.bundle.solver import Adjustment, BundleState, Priors, residuals
 from alight.photos.bundle.summary import (
-    LEAST_OBSERVED,
     Solved,
     Survey,
     bundle_warnings,
@@ -71,7 +70,7 @@ def adjust(
         features.append(found)
         progress(0.35 * len(features) / len(frames))
     wanted = neighbours(tagged.centres, settings.neighbours)
-    for n, matched in enumerate(match_pairs(tagged.lenses, frames, features, wanted, settings, jobs), 1):
+    for n, matched in enumerate(match_pairs(tagged.lenses, frames, features, wanted, jobs), 1):
         pairs += matched
         progress(0.35 + 0.35 * n / len(frames))
     solved = solve_bundle(
@@ -141,7 +140,7 @@ def solve_bundle(
         up = 6 * np.arange(len(priors.centres)) + 2
         joint[np.ix_(up, up)] += float(np.nanmean((tagged.centres[:, 2] - np.nanmedian(tagged.centres[:, 2])) ** 2))
     state, every = retriangulate(state, finer, priors, cut, loss)
-    enough = np.bincount(every.photo, minlength=len(priors.centres)) >= LEAST_OBSERVED
+    enough = np.bincount(every.photo, minlength=len(priors.centres)) >= LEAST_MATCHED
     registered = np.intersect1d(photos, np.flatnonzero(enough & fixed_attitudes(joint, len(priors.centres))))
     free = priors.sigma_lens > 0
     free[priors.lenses.readout_numbers] = False

@@ -18,8 +18,8 @@ from alight.jobs import Jobs, Sent, Task
 from alight.photos.bundle.features import PhotoFeatures, colmap, colmap_camera
 from alight.photos.bundle.lenses import PhotoLenses
 from alight.records import Frame
-from alight.settings import BundleSettings
 
+LEAST_MATCHED = 20  # least matches of a pair of photos after two-view geometry, and least observations of a photo
 _RATIO = 0.8  # most allowed ratio of the best to the second-best descriptor distance
 _TWO_VIEW_PX = 4.0  # px, inlier threshold; allows for the error of the nominal distortion in the corners
 
@@ -103,22 +103,22 @@ def match_descriptors(a: F32, b: F32) -> I64:
 
 
 def verify(
-    cameras: tuple[Camera, Camera], a: PhotoFeatures, b: PhotoFeatures, matches: I64, least: int
+    cameras: tuple[Camera, Camera], a: PhotoFeatures, b: PhotoFeatures, matches: I64
 ) -> tuple[I64, F64, F64] | None:
     """Return inliers of `matches` (M, 2), rotation and direction (see `Pair`) by two-view geometry of photos `a`, `b`.
 
-    None if there are fewer than `least` inliers.
+    None if there are fewer than `LEAST_MATCHED` inliers.
     """
-    if len(matches) < least:
+    if len(matches) < LEAST_MATCHED:
         return None
     pc, one, other = colmap(), *(colmap_camera(c) for c in cameras)
     options = pc.TwoViewGeometryOptions()
     options.compute_relative_pose = True
-    options.min_num_inliers = least
+    options.min_num_inliers = LEAST_MATCHED
     options.ransac.random_seed = 1
     options.ransac.max_error = _TWO_VIEW_PX * max(1.0, cameras[0].width / 1600)
     g = pc.estimate_two_view_geometry(one, a.pixels + 0.5, other, b.pixels + 0.5, matches.astype(np.uint32), options)
-    if g.cam2_from_cam1 is None or len(g.inlier_matches) < least:
+    if g.cam2_from_cam1 is None or len(g.inlier_matches) < LEAST_MATCHED:
         return None
     R = np.asarray(g.cam2_from_cam1.rotation.matrix())
     t = np.asarray(g.cam2_from_cam1.translation)
@@ -128,7 +128,7 @@ def verify(
 
 
 def match_photo(
-    cameras: Sequence[Camera], settings: BundleSettings, first: PhotoFeatures, others: Sequence[PhotoFeatures], ij: I64
+    cameras: Sequence[Camera], first: PhotoFeatures, others: Sequence[PhotoFeatures], ij: I64
 ) -> list[Pair | None]:
     """Match photo `first` with each of `others`; return one verified pair for each, None where the photos do not match.
 
@@ -138,7 +138,7 @@ def match_photo(
     out = list[Pair | None]()
     for (i, j), other, camera in zip(ij.tolist(), others, cameras[1:], strict=True):
         matches = match_descriptors(first.unit, other.unit)
-        found = verify((cameras[0], camera), first, other, matches, settings.matches)
+        found = verify((cameras[0], camera), first, other, matches)
         out.append(None if found is None else Pair(i, j, *found))
     return out
 
@@ -148,7 +148,6 @@ def match_pairs(
     frames: Sequence[Frame],
     features: Sequence[PhotoFeatures],
     wanted: Sequence[tuple[int, int]],
-    settings: BundleSettings,
     jobs: Jobs,
 ) -> Iterator[list[Pair]]:
     """Match and verify the pairs (i, j) in `wanted`; yield one list for each photo i with the pairs that match."""
@@ -160,7 +159,7 @@ def match_pairs(
         about = " ".join(f"{k} {frames[k].t_ns}" for k in (i, *others))
         ij = np.array([(i, j) for j in others])
         cameras = tuple(lenses.of_photo(k) for k in (i, *others))
-        arguments = cameras, settings, sent(i), tuple(sent(j) for j in others), ij
+        arguments = cameras, sent(i), tuple(sent(j) for j in others), ij
         return Task(f"pairs-{frames[i].t_ns}", match_photo, arguments, about)
 
     of: dict[int, list[int]] = {}

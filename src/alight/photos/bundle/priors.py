@@ -16,6 +16,7 @@ from alight.arrays import F64, I64
 from alight.geometry import Camera
 from alight.photos.bundle.lenses import PhotoLenses
 from alight.photos.bundle.solver import Priors
+from alight.photos.reading.photo_pose import GPS_SIGMA
 from alight.records import NavSample, Rig
 from alight.settings import BundleSettings
 
@@ -41,7 +42,7 @@ def make_priors(
     cameras are assumed to share one mounting. There is no rolling shutter until `rolling_priors` adds it.
     """
     n = len(nav)
-    centres, sigma = np.full((n, 3), np.nan), np.full((n, 3), settings.position_sigma)
+    centres, sigma = np.full((n, 3), np.nan), np.tile(GPS_SIGMA, (n, 1))
     rotation, sigma_rotation = np.full((n, 3, 3), np.nan), np.full((n, 3), settings.attitude_sigma)
     sigma_rotation[:, 2] = settings.heading_sigma
     body_from_cam = rig.cameras[0].body_from_cam

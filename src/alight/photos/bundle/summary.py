@@ -10,13 +10,12 @@ import numpy as np
 from alight.arrays import F64, I64, Mask
 from alight.photos.bundle.features import PhotoFeatures
 from alight.photos.bundle.height_check import FocalScore
-from alight.photos.bundle.matching import BundleObservations
+from alight.photos.bundle.matching import LEAST_MATCHED, BundleObservations
 from alight.photos.bundle.orientation import FirstPoses
 from alight.photos.bundle.solver import BundleState, Priors, residuals
 from alight.records import Frame, PhotoOutcome
 from alight.settings import BundleSettings
 
-LEAST_OBSERVED = 20  # least observations of a registered photo
 _GPS_FAR = 6.0  # sigmas; a larger GPS residual is worth a warning
 
 
@@ -62,7 +61,7 @@ class Survey:
         """Return why a photo was not registered; empty if it was registered."""
         if photo in self.solved.registered:
             return ""
-        few = len(self.features[photo].pixels) < LEAST_OBSERVED
+        few = len(self.features[photo].pixels) < LEAST_MATCHED
         return "no texture" if few else "too few matches with other photos"
 
 
@@ -70,9 +69,9 @@ def why_no_motion(features: Sequence[PhotoFeatures], priors: Priors, solved: Sol
     """Return the reason why no photo was registered; `solved` is None if no two photos are connected."""
     if np.isfinite(priors.centres).all(axis=1).sum() < 2:
         why = "fewer than two photos have a GPS position"
-    elif max((len(f.pixels) for f in features), default=0) < LEAST_OBSERVED:
+    elif max((len(f.pixels) for f in features), default=0) < LEAST_MATCHED:
         why = "the photos have no texture"
-    elif solved is None or (np.bincount(solved.observations.photo, minlength=1) < LEAST_OBSERVED).all():
+    elif solved is None or (np.bincount(solved.observations.photo, minlength=1) < LEAST_MATCHED).all():
         why = "the photos do not overlap, or show nothing that stands still"
     else:
         why = (

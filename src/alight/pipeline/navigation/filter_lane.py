@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from alight.motion import MotionFilter
-from alight.motion.ekf.filter import LEAST_EXPOSURES
 from alight.motion.ekf.keyframe_posterior import rigid_posterior
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.imu_buffer import ImuBuffer
+from alight.motion.points import MIN_POSES
 from alight.pipeline.navigation import Navigation, Trajectory, sparse
 from alight.pipeline.timing import Progress
 from alight.records import (
@@ -198,7 +198,7 @@ class FilterLane:
         if anew := max((m.frame_id for m in motions), default=0):
             out.append(f"motion: began anew {anew} times; the parts are tied together by GPS alone")
         if self._settings.smooth and motions and not smoothed:
-            cause = "they are too few" if len(motions) < LEAST_EXPOSURES else "their equations have no solution"
+            cause = "they are too few" if len(motions) < MIN_POSES else "their equations have no solution"
             out.append(
                 f"motion: the exposures could not be refined together ({cause}); the poses are those of the flight"
             )

@@ -21,11 +21,6 @@ class FilterTuning(FrozenModel):
     smoother_repeat: Positive = Field(
         20.0, description="The same for the joint covariance of a smoothed flight (docs/lab/heights.md)"
     )
-    unlikely: Positive = Field(
-        6.0,
-        description="Squared error of the clones over their covariance, per degree of freedom, from which their "
-        "refinement is refused",
-    )
     texture_reference: Positive = Field(
         1.3e-3, description="Shi-Tomasi response of short grass; the sigma of a track grows as 1 / sqrt(texture)"
     )
@@ -84,10 +79,8 @@ class BundleTuning(FrozenModel):
     neighbours: int = Field(
         10, ge=2, description="Nearest photos with which each photo is matched, besides one in each direction"
     )
-    matches: int = Field(20, ge=8, description="Least matches of a pair of photos after two-view geometry")
     attitude_sigma: Positive = Field(0.05, description="1-sigma of the roll and pitch of the gimbal, rad")
     heading_sigma: Positive = Field(0.15, description="1-sigma of the heading of the gimbal, rad")
     mounting_sigma: NonNegative = Field(
         0.03, description="1-sigma of the mounting of the camera on the gimbal, rad; 0: as calibrated"
     )
-    position_sigma: Positive = Field(3.0, description="1-sigma of the GPS position where a photo states none, m")

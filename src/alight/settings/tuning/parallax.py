@@ -139,9 +139,6 @@ class PoseRefinementTuning(FrozenModel):
     cells: int = Field(1500, ge=100, description="Cells that take part")
     taken_share: Fraction = Field(0.5, description="Share of the heights that a step takes from its own views (eq. 16)")
     correlated: Positive = Field(4.0, description="Inflation of the variance: samples of neighbours are correlated")
-    unlikely: Positive = Field(
-        6.0, description="Squared error over its covariance, per degree of freedom, from which a step is refused"
-    )
     apparent_px: NonNegative = Field(0.03, description="1-sigma of the common error of a whole image, px")
     hold: Positive = Field(
         10.0, description="Sigmas of a cell (of an unknown one, the height) by which its height is held to the map"
