@@ -77,7 +77,7 @@ class Search:
         found, bounds = self._places.best(is_open), self._clear_way.bounds
         lower = self._share * bounds.search_height
         sinks = ground is not None and lower >= bounds.lowest
-        if sinks and found is not None and found.kind != "site":
+        if (sinks or self._sinks) and found is not None and found.kind != "site":
             found = None  # a search from lower judges all candidates at once; a visit judges one
         if found is None or not self._places.worth_a_visit(found):
             lanes = self._lanes = self._lanes or SearchLanes(home, self._keys, self._clear_way.bounds)
