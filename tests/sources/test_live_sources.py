@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from functools import cache
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -433,3 +433,35 @@ def test_a_stream_that_breaks_off_is_opened_again(log: Path, tmp_path: Path, mon
     source = open_live("rtsp://h/s", Settings(), rig=tmp_path)
     assert sum(isinstance(e, Frame) for e in source.events) == 9
     assert "rtsp://h/s: broke off and was opened again; motion and map have a gap there" in source.source.warnings
+
+
+class Unplugged(Broken):
+    """A stream of three images, which then falls silent, as when its camera loses power."""
+
+    def __init__(self, name: str, backend: int, limits: list[int]) -> None:
+        self.limits = dict(zip(limits[::2], limits[1::2], strict=True))
+
+    def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
+        """The camera has its power back."""
+        return True
+
+    def read(self) -> tuple[bool, U8]:
+        """The next image; after the last, wait as long as OpenCV was told to."""
+        good, image = super().read()
+        if not good:
+            time.sleep(1e-3 * self.limits[cv2.CAP_PROP_READ_TIMEOUT_MSEC])
+        return good, image
+
+    def get(self, which: int) -> float:
+        """Size of the images; no time of the driver."""
+        return {cv2.CAP_PROP_FRAME_WIDTH: 160.0, cv2.CAP_PROP_FRAME_HEIGHT: 120.0}.get(which, 0.0)
+
+
+def test_a_stream_that_falls_silent_is_opened_again(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("alight.sources.capture.cv2.VideoCapture", Unplugged)
+    monkeypatch.setattr("alight.sources.capture.SILENT", 2.0)
+    (tmp_path / "cam0").mkdir()
+    shutil.copy(log / "mav0" / "cam0" / "sensor.yaml", tmp_path / "cam0")
+    source = open_live("rtsp://h/s", Settings(), rig=tmp_path)
+    assert sum(isinstance(e, Frame) for e in islice(source.events, 7)) == 7
+    assert any("broke off and was opened again" in w for w in source.source.warnings)

@@ -60,8 +60,11 @@ def open_capture(name: str, size: tuple[int, int]) -> Any:
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # deliver the newest image, not the oldest
     elif kind == "gst":
         capture = cv2.VideoCapture(rest, cv2.CAP_GSTREAMER)
+    elif kind == "rtsp":  # a camera that loses its power closes no connection; OpenCV would wait for it for 30 s
+        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, int(1e3 * SILENT), cv2.CAP_PROP_READ_TIMEOUT_MSEC, int(250 * SILENT)]
+        capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, limits)
     else:
-        capture = cv2.VideoCapture(rest if kind == "video" else name)
+        capture = cv2.VideoCapture(rest)
     if not capture.isOpened():
         raise InputError(
             f"{name}: cannot be opened; check the cable, the name and the permissions, or close what uses it"
