@@ -310,6 +310,24 @@ def test_odometry_alone_gives_relative_positions(bag: Write) -> None:
     np.testing.assert_allclose(rows[3].sigma_attitude, [0.01, 0.01, 0.02])
 
 
+@pytest.mark.parametrize("first", ["/gp_origin", "/ins/fix"])
+def test_a_place_that_is_none_on_earth_is_no_origin(bag: Write, first: str) -> None:
+    """The first message that has a place is damaged."""
+    left = [{"latitude": 1e200}]
+
+    def change(m: Drawn) -> Iterator[Drawn]:
+        if m.topic == first and left:
+            wrong = left.pop()
+            m = m._replace(fields=m.fields | ({"position": wrong} if "position" in m.fields else wrong))
+        if m.topic != "/gp_origin" or first == "/gp_origin":
+            yield m
+
+    source = opened(bag(change=change))
+    assert source.local is not None
+    assert source.local.latitude == pytest.approx(48.0, abs=1.0)
+    assert len(of_kind(source, NavSample)) == (12 if first == "/gp_origin" else 11)
+
+
 def stamped(topic: str, change: Callable[[Drawn], dict[str, Any]]) -> Callable[[Drawn], Iterator[Drawn]]:
     """Return a change of the fields of a topic's messages."""
 

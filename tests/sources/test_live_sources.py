@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from functools import cache
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -404,6 +404,10 @@ class Broken:
 
     left = 3
 
+    def grab(self) -> bool:
+        """Nothing queued up."""
+        return False
+
     def read(self) -> tuple[bool, U8]:
         """The next image, and whether there is one."""
         self.left -= 1
@@ -417,7 +421,15 @@ class Broken:
         """Nothing is held."""
 
 
-def test_a_stream_that_breaks_off_is_opened_again(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def one_camera(log: Path, tmp_path: Path) -> Path:
+    """The calibration of the left camera."""
+    (tmp_path / "cam0").mkdir()
+    shutil.copy(log / "mav0" / "cam0" / "sensor.yaml", tmp_path / "cam0")
+    return tmp_path
+
+
+def test_a_stream_that_breaks_off_is_opened_again(one_camera: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its server restarts twice, and then stays away."""
     answers: list[Any] = [Broken(), Broken(), InputError("no route"), Broken()]
 
@@ -428,8 +440,71 @@ def test_a_stream_that_breaks_off_is_opened_again(log: Path, tmp_path: Path, mon
 
     monkeypatch.setattr("alight.sources.capture.open_capture", opened)
     monkeypatch.setattr("alight.sources.capture.SILENT", 0.4)
-    (tmp_path / "cam0").mkdir()
-    shutil.copy(log / "mav0" / "cam0" / "sensor.yaml", tmp_path / "cam0")
-    source = open_live("rtsp://h/s", Settings(), rig=tmp_path)
+    source = open_live("rtsp://h/s", Settings(), rig=one_camera)
     assert sum(isinstance(e, Frame) for e in source.events) == 9
     assert "rtsp://h/s: broke off and was opened again; motion and map have a gap there" in source.source.warnings
+
+
+class Unplugged(Broken):
+    """A stream of three images, which then falls silent, as when its camera loses power."""
+
+    def __init__(self, name: str, backend: int, limits: list[int]) -> None:
+        self.limits = dict(zip(limits[::2], limits[1::2], strict=True))
+
+    def isOpened(self) -> bool:
+        """The camera has its power back."""
+        return True
+
+    def read(self) -> tuple[bool, U8]:
+        """The next image; after the last, wait as long as OpenCV was told to."""
+        good, image = super().read()
+        if not good:
+            time.sleep(1e-3 * self.limits[cv2.CAP_PROP_READ_TIMEOUT_MSEC])
+        return good, image
+
+    def get(self, which: int) -> float:
+        """Size of the images; no time of the driver."""
+        return {cv2.CAP_PROP_FRAME_WIDTH: 160.0, cv2.CAP_PROP_FRAME_HEIGHT: 120.0}.get(which, 0.0)
+
+
+def test_a_stream_that_falls_silent_is_opened_again(one_camera: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("alight.sources.capture.cv2.VideoCapture", Unplugged)
+    monkeypatch.setattr("alight.sources.capture.SILENT", 2.0)
+    source = open_live("rtsp://h/s", Settings(), rig=one_camera)
+    assert sum(isinstance(e, Frame) for e in islice(source.events, 7)) == 7
+    assert any("broke off and was opened again" in w for w in source.source.warnings)
+
+
+class Examined:
+    """A stream at 20 Hz of which eight images queued up while it was opened; an image's brightness is its number."""
+
+    number = -1
+
+    def grab(self) -> bool:
+        """Whether there is one more image; those that have not been taken yet are waited for."""
+        self.number += 1
+        if self.number > 7:
+            time.sleep(0.05)
+        return self.number < 14
+
+    def read(self) -> tuple[bool, U8]:
+        """The next image, and whether there is one."""
+        return self.grab(), np.full((120, 160), self.number, np.uint8)
+
+    def get(self, _: int) -> float:
+        """Time in ms; the first two have the same, as with FFmpeg."""
+        return 50.0 * max(self.number - 1, 0)
+
+    def release(self) -> None:
+        """Nothing is held."""
+
+
+def test_images_that_queued_up_while_a_stream_was_opened_are_skipped(
+    one_camera: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They would be stamped as they arrive, all at once."""
+    opened = mock.Mock(side_effect=[Examined(), *[InputError("refused")] * 99])
+    monkeypatch.setattr("alight.sources.capture.open_capture", opened)
+    monkeypatch.setattr("alight.sources.capture.SILENT", 0.4)
+    frames = [e for e in open_live("rtsp://h/s", Settings(), rig=one_camera).events if isinstance(e, Frame)]
+    assert [int(i[0, 0]) for f in frames if (i := f.images[0]) is not None] == [9, 10, 11, 12, 13]

@@ -60,8 +60,12 @@ def open_capture(name: str, size: tuple[int, int]) -> Any:
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # deliver the newest image, not the oldest
     elif kind == "gst":
         capture = cv2.VideoCapture(rest, cv2.CAP_GSTREAMER)
+    elif kind == "rtsp":  # a camera that loses its power closes no connection; OpenCV would wait for it for 30 s
+        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, int(1e3 * SILENT), cv2.CAP_PROP_READ_TIMEOUT_MSEC, int(250 * SILENT)]
+        limits += [cv2.CAP_PROP_N_THREADS, 1]  # each thread more delays every image by one
+        capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, limits)
     else:
-        capture = cv2.VideoCapture(rest if kind == "video" else name)
+        capture = cv2.VideoCapture(rest)
     if not capture.isOpened():
         raise InputError(
             f"{name}: cannot be opened; check the cable, the name and the permissions, or close what uses it"
@@ -72,6 +76,19 @@ def open_capture(name: str, size: tuple[int, int]) -> Any:
             f"{name}: gives {width}x{height}, its calibration is for {size[0]}x{size[1]}; calibrate at this size"
         )
     return capture
+
+
+def skip_backlog(capture: Any) -> None:
+    """Skip the images that queued up while a stream was opened (2.5 s of GStreamer's): they arrived at unknown times.
+
+    An image was waited for if it came at no more than twice the pace of its own time. The first two have the same time.
+    """
+    number, arrival, own = 0, 0.0, 0.0
+    while capture.grab():
+        number, before, own_before = number + 1, arrival, own
+        arrival, own = time.monotonic(), capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
+        if number > 2 and arrival - before >= (own - own_before) / 2:
+            return
 
 
 class Cameras(CalibratedFolder):
@@ -119,13 +136,17 @@ class Cameras(CalibratedFolder):
         def read(k: int, capture: Any) -> None:
             clock, begin = SensorClock(), time.monotonic()
             own_time = self._names[k].startswith("video:")  # a film is paced and stamped by its own time
+            is_stream = self._names[k].startswith("rtsp:")
+            if is_stream:
+                skip_backlog(capture)
             while not over.is_set():
                 good, image = capture.read()
                 if not good:
                     capture.release()
-                    if not self._names[k].startswith("rtsp:") or (again := self._reopened(k, over)) is None:
+                    if not is_stream or (again := self._reopened(k, over)) is None:
                         break
                     clock, capture = SensorClock(), again
+                    skip_backlog(capture)
                     continue
                 arrival, own = time.monotonic(), capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
                 if image.ndim == 3:

@@ -21,6 +21,7 @@ from alight.sources.bags.streams import INFO, TopicStream, decoded, read_streams
 from alight.sources.calibration import load_yaml, read_camchain
 from alight.sources.flight_log import Exposure, FlightLog
 from alight.sources.logged_stream import LoggedStream, attitude_at
+from alight.sources.source import LARGEST
 from alight.sources.streams import LATE_NS, StreamRow, Table, ordered_rows
 
 KALIBR = "set sources.calibration to Kalibr's camchain.yaml"
@@ -59,7 +60,7 @@ class BagFlight(FlightLog):
             return None
         stated = [s for s in self._streams.values() if "GeoPoint" in s.type and s.has("place")]
         places = np.concatenate([s.part("place") for s in stated] + [self._places(position)])
-        places = places[np.isfinite(places).all(axis=1)]
+        places = places[(np.abs(places) < [90.0, 360.0, LARGEST["height"]]).all(axis=1)]
         return LocalFrame(*places[0].tolist()) if len(places) else None
 
     def _calibrated(self) -> list[str]:

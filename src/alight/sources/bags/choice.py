@@ -22,7 +22,7 @@ NOT_MEASURED = re.compile(
 NO_PICTURE = re.compile(
     r"depth|disparity|confidence|mask|overlay|debug|annotat|detect|segment|track_image|feature|match|theora"
 )
-FUSED = re.compile(r"filter|fused|ekf|rtk|(^|/)ins(/|_)|global_position/global$|local_position")
+FUSED = re.compile(r"filter|fused|ekf|rtk|(^|[/_])ins([/_]|$)|global_position/global$|local_position")
 DOWN = re.compile(r"down|nadir|bottom|belly")
 NORTHED = ("", "map", "enu", "utm", "local_enu", "local_origin")  # frames whose x axis points east; others may turn
 ONE_CAMERA = re.compile(r"^image(_raw|_color|_mono|_rect|_rect_color|_rect_raw)?$")  # variants of one picture
