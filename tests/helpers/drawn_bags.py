@@ -45,6 +45,10 @@ class Drawn(NamedTuple):
     t_ns: int  # time of arrival
     fields: dict[str, Any]  # by name; nested in dictionaries; others are zero
 
+    def with_fields(self, new: dict[str, Any]) -> Drawn:
+        """This message with some fields changed."""
+        return self._replace(fields=self.fields | new)
+
 
 def header(t_ns: int, frame: str) -> dict[str, Any]:
     """A header's fields."""

@@ -144,7 +144,7 @@ def test_pictures_of_every_encoding(bag: Write, encoding: str) -> None:
 
     def encode(m: Drawn) -> Iterator[Drawn]:
         new = {"encoding": name, "data": padded.ravel(), "step": padded.shape[1]}
-        yield m._replace(fields=m.fields | new) if m.topic == "/cam0/image_raw" else m
+        yield m.with_fields(new) if m.topic == "/cam0/image_raw" else m
 
     frames = [e for e in opened(bag(change=encode)).events() if isinstance(e, Frame)]
     assert len(frames) == 6
@@ -161,7 +161,7 @@ def sixteen_bits(m: Drawn) -> Iterator[Drawn]:
         yield compressed(LEFT, m.t_ns, "cam0", np.full(d.SIZE[::-1], 900, np.uint16))
     else:
         step, data = 2 * d.SIZE[0], np.zeros(2 * d.SIZE[0] * d.SIZE[1], np.uint8)
-        yield m._replace(fields=m.fields | {"encoding": "mono16", "step": step, "data": data})
+        yield m.with_fields({"encoding": "mono16", "step": step, "data": data})
 
 
 @pytest.mark.parametrize(("picture", "why"), [(image, "encoding 'mono16'"), (compressed, "format 'png' of 16 bits")])
@@ -180,7 +180,7 @@ def info(**new: Any) -> Callable[[Drawn], Iterator[Drawn]]:
     """Return a change of the calibration of the left camera."""
 
     def change(m: Drawn) -> Iterator[Drawn]:
-        yield m._replace(fields=m.fields | new) if m.topic == "/cam0/camera_info" else m
+        yield m.with_fields(new) if m.topic == "/cam0/camera_info" else m
 
     return change
 
@@ -191,7 +191,7 @@ def test_rectified_pictures_have_the_lens_and_the_axes_of_the_projection(bag: Wr
     def rectify(m: Drawn) -> Iterator[Drawn]:
         new = {"P": [40.0, 0, 30.0, 0, 0, 41.0, 20.0, 0, 0, 0, 1, 0], "R": turn.ravel()}
         m = m._replace(topic="/cam0/image_rect") if m.topic == LEFT else m
-        yield m._replace(fields=m.fields | new) if m.topic == "/cam0/camera_info" else m
+        yield m.with_fields(new) if m.topic == "/cam0/camera_info" else m
 
     got, want = opened(bag(change=rectify)).rig.cameras[0], opened(flight).rig.cameras[0]
     assert (got.camera.model, got.camera.fu, got.camera.cv) == ("none", 40.0, 20.0)
@@ -318,7 +318,7 @@ def test_a_place_that_is_none_on_earth_is_no_origin(bag: Write, first: str) -> N
     def change(m: Drawn) -> Iterator[Drawn]:
         if m.topic == first and left:
             wrong = left.pop()
-            m = m._replace(fields=m.fields | ({"position": wrong} if "position" in m.fields else wrong))
+            m = m.with_fields({"position": wrong} if "position" in m.fields else wrong)
         if m.topic != "/gp_origin" or first == "/gp_origin":
             yield m
 
@@ -332,7 +332,7 @@ def stamped(topic: str, change: Callable[[Drawn], dict[str, Any]]) -> Callable[[
     """Return a change of the fields of a topic's messages."""
 
     def apply(m: Drawn) -> Iterator[Drawn]:
-        yield m._replace(fields=m.fields | change(m)) if m.topic == topic else m
+        yield m.with_fields(change(m)) if m.topic == topic else m
 
     return apply
 
