@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from alight import terrain
+from alight import memory, terrain
 from alight.checks.result import Judged
 from alight.flight.autopilot import Autopilot, TelemetryEvents
 from alight.flight.executive.table import ENDS
@@ -187,6 +187,7 @@ class Trial:
 
     def fly(self, happening: Callable[[Trial], None]) -> None:
         """Fly to the end; `happening` is called before every decision."""
+        memory.keep_pages()
         while not self.over:
             if self.begun:
                 happening(self)
