@@ -50,14 +50,13 @@ def measured(name: str, photos: Path, options: list[str]) -> list[Row]:
     with Image.open(files[0]) as first:
         megapixels = len(files) * first.width * first.height / 1e6
     seconds, megabytes = BOUNDS.get(name, (math.inf, 2500.0))
-    stages = json.loads((out / "run.json").read_text())["time"]
-    print(f"{name}: {len(files)} photos, {megapixels:.0f} megapixels; seconds by stage: {json.dumps(stages)}")
+    run = read_run(out)
+    print(f"{name}: {len(files)} photos, {megapixels:.0f} megapixels; seconds by stage: {json.dumps(run.info['time'])}")
     rows = [
         Row(f"{name}: CPU, s a megapixel", cpu / megapixels, *CPU),
         Row(f"{name}: peak memory, MB", used.ru_maxrss / 1024, megabytes, megabytes / 2),
         Row(f"{name}: clock, s", clock, seconds, seconds / 2),
     ]
-    run = read_run(out)
     if name == "mirafiori":
         return rows + reference_rows(run)
     return rows if name in REAL else rows + truth_rows(name, run, photos.parent / "flown.npz")
@@ -96,8 +95,7 @@ def truth_rows(name: str, run: Run, path: Path) -> list[Row]:
     points = np.c_[moved[given, :2], true[given]]
     left = plane_of(points, moved[given, 2] - points[:, 2])[1]
     above = float(z["above"])
-    common = json.loads((run.folder / "run.json").read_text())["common_error"]
-    tilt = float(np.linalg.norm(turn[2, :2] / common["tilt_sigma_rad"]))
+    tilt = float(np.linalg.norm(turn[2, :2] / run.info["common_error"]["tilt_sigma_rad"]))
     return [
         Row(f"{name}: tilt of the whole survey, in its claimed sigmas", tilt, 3.0, 2.0),
         Row(f"{name}: given out of the cells seen by three photos, %", 100 * float(np.isfinite(up).mean())),

@@ -17,10 +17,7 @@ def keep_little() -> None:
 
 
 def keep_pages() -> None:
-    """Keep up to 64 MB of freed memory: pages taken anew for each small array cost a seventh of a landing's CPU.
-
-    Heaps of photos grow by a seventh with it.
-    """
+    """Keep up to 64 MB of freed memory, whose pages cost a landing a seventh of its CPU, and photos of their memory."""
     _call("mallopt", _TRIM_THRESHOLD, 16 * LARGE_ARRAY)
 
 

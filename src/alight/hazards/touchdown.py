@@ -268,13 +268,8 @@ def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
         cells = reach / elevation.grid.cell
         if cells >= 1:
             gap = close_mask(known, int(cells + 1e-6)) & ~known & where
-            known = known | (
-                gap
-                & (
-                    np.abs(height - weighted_gaussian(height, known.astype(np.float32), cells).where_near)
-                    <= 0.5 * lander.tallest_obstacle
-                )
-            )
+            about = weighted_gaussian(height, known.astype(np.float32), cells).where_near
+            known = known | (gap & (np.abs(height - about) <= 0.5 * lander.tallest_obstacle))
     return np.where(known, height, np.float32(np.nan))
 
 

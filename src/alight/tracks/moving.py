@@ -66,10 +66,14 @@ class LevelPicture:
         return np.asarray(grey, np.float32)
 
     @cached_property
+    def bytes(self) -> U8:
+        """(SIDE, SIDE) grey levels, 0 outside the view."""
+        return _bytes(self.grey)
+
+    @cached_property
     def corners(self) -> F32:
         """(N, 1, 2) pixels (column, row) of corners that can be followed into another picture."""
-        grey = np.nan_to_num(self.grey).clip(0, 255).astype(np.uint8)
-        points = cv2.goodFeaturesToTrack(grey, 300, 0.005, 8, mask=_inner(self.grey))
+        points = cv2.goodFeaturesToTrack(self.bytes, 300, 0.005, 8, mask=_inner(self.grey))
         return np.empty((0, 1, 2), np.float32) if points is None else np.asarray(points, np.float32)
 
     @cached_property
@@ -153,13 +157,18 @@ def registration(now: LevelPicture, before: F32) -> F64:
     points = now.corners[_inner(before)[at[:, 1], at[:, 0]] > 0]
     if len(points) < 12:  # twice the numbers of an affine map
         return unchanged
-    one, two = (np.nan_to_num(p).clip(0, 255).astype(np.uint8) for p in (now.grey, before))
-    moved, ok, _ = cv2.calcOpticalFlowPyrLK(one, two, points, np.empty(0), winSize=(13, 13), maxLevel=2)
+    moved, ok, _ = cv2.calcOpticalFlowPyrLK(
+        now.bytes, _bytes(before), points, np.empty(0), winSize=(13, 13), maxLevel=2
+    )
     good = ok.ravel() == 1
     if good.sum() < 12:
         return unchanged
     found, _ = cv2.estimateAffine2D(points[good], moved[good], ransacReprojThreshold=1.0)
     return unchanged if found is None else np.asarray(found, np.float64)
+
+
+def _bytes(grey: F32) -> U8:
+    return np.asarray(np.nan_to_num(grey).clip(0, 255).astype(np.uint8))
 
 
 def _inner(grey: F32) -> U8:

@@ -69,18 +69,18 @@ class Search:
             seen: newest verdict on a map of this frame; None: there is none.
             is_open: returns whether a location can be visited.
         """
+        bounds = self._clear_way.bounds
         if self._refusals is not None and self._places.refusals > self._refusals:
             self._next_goal()
         if self.goals:
-            level = home[2] if ground is None else ground + self._clear_way.bounds.search_height
+            level = home[2] if ground is None else ground + bounds.search_height
             return self._to_goal(now, float(level), seen, is_open)
-        found, bounds = self._places.best(is_open), self._clear_way.bounds
-        lower = self._share * bounds.search_height
-        sinks = ground is not None and lower >= bounds.lowest
-        if (sinks or self._sinks) and found is not None and found.kind != "site":
+        found, lower = self._places.best(is_open), self._share * bounds.search_height
+        can_go_lower = ground is not None and lower >= bounds.lowest
+        if (can_go_lower or self._sinks) and found is not None and found.kind != "site":
             found = None  # a search from lower judges all candidates at once; a visit judges one
         if found is None or not self._places.worth_a_visit(found):
-            lanes = self._lanes = self._lanes or SearchLanes(home, self._keys, self._clear_way.bounds)
+            lanes = self._lanes = self._lanes or SearchLanes(home, self._keys, bounds)
             self._sinks = self._sinks and not self._is_down(now, lanes.end(ground), seen)
             if self._sinks:
                 return SearchStep(way=lanes.end(ground))
@@ -89,7 +89,7 @@ class Search:
                 self._over_at = now.t
             if self._over_at is None or not self._is_judged(now, self._over_at, seen):
                 return SearchStep(way=lanes.end(ground))
-        if found is None and sinks:
+        if found is None and can_go_lower:
             before, bounds.search_height = bounds.search_height, lower
             self._over_at, self._lanes, self._sinks = None, SearchLanes(home, self._keys, bounds), True
             why = f"no site is left from {before:.0f} m, so the search goes on from {bounds.search_height:.0f} m"

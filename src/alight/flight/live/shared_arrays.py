@@ -5,6 +5,7 @@ from __future__ import annotations
 import mmap
 import os
 import pickle
+from contextlib import suppress
 from itertools import accumulate
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import recv_handle, send_handle
@@ -17,23 +18,21 @@ ALIGNED = 64  # bytes, a multiple of which each array starts at
 def send(line: Connection, message: object) -> bool:
     """Send a message to a process that reads it by `receive`; return whether any of its arrays was shared.
 
-    Contiguous arrays of 64 kB or more are shared, and copied once.
-
-    `line` must be an end of a duplex pipe. Without `memfd_create` (Linux) everything goes through the pipe.
+    Contiguous arrays of 64 kB or more are shared, and copied once. `line` must be an end of a duplex pipe. Without
+    `memfd_create` (Linux) everything goes through the pipe.
     """
     arrays = list[memoryview]()
 
-    def is_small(buffer: pickle.PickleBuffer) -> bool:
-        try:
+    def stays_inside(buffer: pickle.PickleBuffer) -> bool:
+        with suppress(BufferError):  # not contiguous
             raw = buffer.raw()
-        except BufferError:  # not contiguous
-            return True
-        if raw.nbytes >= LARGE:
-            arrays.append(raw)
-        return raw.nbytes < LARGE
+            if raw.nbytes >= LARGE:
+                arrays.append(raw)
+                return False
+        return True
 
     shares = hasattr(os, "memfd_create")
-    head = pickle.dumps(message, protocol=5, buffer_callback=is_small if shares else None)
+    head = pickle.dumps(message, protocol=5, buffer_callback=stays_inside if shares else None)
     starts = list(accumulate((-(-a.nbytes // ALIGNED) * ALIGNED for a in arrays), initial=0))
     line.send((head, starts, [a.nbytes for a in arrays]))
     if not arrays:

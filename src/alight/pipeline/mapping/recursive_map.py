@@ -158,9 +158,8 @@ class RecursiveMap(GroundMap):
 
     def note_movers(self, motion: Motion) -> None:
         """Remember where people and cars move in an exposure."""
-        keys = self.settings.hazards
-        if len(cells := around(motion.movers, keys.traffic_margin)):
-            self.moved = self.moved.since(motion.t_ns - round(keys.came_memory * 1e9)).with_seen(cells, motion.t_ns)
+        if len(cells := around(motion.movers, self.settings.hazards.traffic_margin)):
+            self.moved = self.moved.with_seen(cells, motion.t_ns)
 
     def _note_who_came(self, estimator: RecursiveParallax, t_ns: int) -> None:
         """Remember the cells on which a person or object came to stand in the estimator's last step, `t_ns` (G6c).
