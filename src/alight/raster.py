@@ -93,7 +93,7 @@ def block_quantile(values: F32, factor: int, share: float) -> F32:
 
 def upsample(coarse: NDArray[T], factor: int, shape: tuple[int, int] | None = None) -> NDArray[T]:
     """Repeat each cell's value for its `factor` x `factor` pixels, and crop the result to `shape` if it is given."""
-    fine = np.repeat(np.repeat(coarse, factor, axis=0), factor, axis=1)
+    fine = np.repeat(np.repeat(coarse, factor, axis=1), factor, axis=0)  # rows last: these are copied whole
     return fine if shape is None else fine[: shape[0], : shape[1]]
 
 

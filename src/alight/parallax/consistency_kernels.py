@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from alight.arrays import F32, HALF, I64, ONE, ZERO
+from alight.arrays import F32, HALF, I64, ONE, ZERO, Mask
 from alight.compiled import kernel, parallel_kernel, prange
 
 
@@ -56,6 +56,54 @@ def common(samples: F32, pairs: I64, mean: F32, block: int, cut: float, out: F32
         for s in range(5):
             out[s, k] = ZERO
             _fold_row(sums[s], block, out[s, k])
+
+
+@kernel
+def _sum_row(row: F32, count: F32, total: F32, square: F32) -> None:
+    for c in range(row.size):
+        known = row[c] == row[c]
+        v = row[c] if known else ZERO
+        count[c] += ONE if known else ZERO
+        total[c] += v
+        square[c] += v * v
+
+
+@kernel
+def _spread_row(least: np.float32, count: F32, total: F32, square: F32) -> None:
+    for c in range(count.size):
+        enough = count[c] >= least
+        spread = square[c] - total[c] * total[c] / max(count[c], ONE)
+        total[c] = spread if enough else ZERO
+        square[c] = square[c] if enough else ZERO
+        count[c] = count[c] if enough else ZERO
+
+
+@kernel
+def _residual_row(residual: F32, trusted: Mask, total: F32, count: F32) -> None:
+    for c in range(trusted.size):
+        total[c] = residual[c] if trusted[c] else ZERO
+        count[c] = ONE if trusted[c] else ZERO
+
+
+@parallel_kernel
+def disagreement(samples: F32, residual: F32, trusted: Mask, block: int, least: int, out: F32) -> None:
+    """Fill `out` (5, R / block, C / block), rounded up, with sums over blocks of cells.
+
+    Row 0 is the sum of squares of the samples about the mean of each cell, rows 1 and 2 are the sums of their squares
+    and of 1, over cells that at least `least` views see. Row 3 is the sum of the map's `residual` (R, C), row 4 of 1,
+    over its `trusted` (R, C) cells. `samples`: (N, R, C) normalised grey of the views.
+    """
+    rows, cols = trusted.shape
+    for k in prange(out.shape[1]):
+        out[:, k] = ZERO
+        for r in range(k * block, min((k + 1) * block, rows)):
+            sums = np.zeros((5, cols), np.float32)
+            for i in range(samples.shape[0]):
+                _sum_row(samples[i, r], sums[2], sums[0], sums[1])
+            _spread_row(np.float32(least), sums[2], sums[0], sums[1])
+            _residual_row(residual[r], trusted[r], sums[3], sums[4])
+            for s in range(5):
+                _fold_row(sums[s], block, out[s, k])
 
 
 @parallel_kernel

@@ -19,7 +19,7 @@ from alight.arrays import F32, I64, U8, U16, Mask
 from alight.parallax import consistency_kernels as kernels
 from alight.parallax.gauss_newton import Fit
 from alight.parallax.views import BLOCK
-from alight.raster import block_mean, upsample
+from alight.raster import upsample
 from alight.records import ElevationMap, Flag, View, is_trusted
 from alight.settings.tuning.parallax import UncertaintyTuning
 
@@ -104,22 +104,12 @@ def contradicted(samples: F32, known: ElevationMap, tuning: UncertaintyTuning) -
     small disagreement counts only where the views agreed when the map got its height. `known` is the map before the
     step; the other arguments are as in `shared`.
     """
-    seen, least = np.isfinite(samples), tuning.least_views
-    count, values = seen.sum(axis=0, dtype=np.float32), np.where(seen, samples, np.float32(0))
-    square = np.einsum("nrc,nrc->rc", values, values)
-    own = square - values.sum(axis=0) ** 2 / np.maximum(count, 1)
-    own, square, count = (_by_blocks(np.where(count >= least, a, np.float32(0))) for a in (own, square, count))
-    enough = (count >= least * tuning.least_seen) & (square > tuning.least_change * count)
+    least, cells = tuning.least_views, BLOCK * BLOCK
     trusted = is_trusted(known.flags) & np.isfinite(known.height)
-    before = _by_blocks(np.where(trusted, known.residual, np.float32(0)))
-    share = _by_blocks(trusted.astype(np.float32))
-    alike = (share > tuning.least_seen) & (before < tuning.alike_before * share)
+    sums = np.empty((5, *(-(-n // BLOCK) for n in known.grid.shape)), np.float32)
+    kernels.disagreement(samples, known.residual, trusted, BLOCK, least, sums)
+    own, square, count, before, share = (cv2.blur(s, (AROUND, AROUND)) for s in sums)
+    enough = (count >= least * tuning.least_seen * cells) & (square > tuning.least_change * count)
+    alike = (share > tuning.least_seen * cells) & (before < tuning.alike_before * share)
     wrong, came = enough & (own > tuning.most_unlike * square), enough & alike & (own > tuning.came_unlike * square)
     return Contradicted(*(upsample(found, BLOCK, known.grid.shape) for found in (wrong, came)))
-
-
-def _by_blocks(values: F32) -> F32:
-    """Return block means of cells (R, C), averaged over AROUND x AROUND blocks: (R / BLOCK, C / BLOCK), rounded up."""
-    rows, cols = (-n % BLOCK for n in values.shape)
-    means = block_mean(np.pad(values, ((0, rows), (0, cols))), BLOCK)
-    return np.asarray(cv2.blur(means, (AROUND, AROUND)), np.float32)

@@ -280,8 +280,8 @@ def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, m
 
 def colour_at(view: View, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
     """Return the gain-corrected colours (R, C, 3) of a view at columns `mapx` and rows `mapy` of its prepared image."""
-    rgb = rgb_levels(np.asarray(view.image))
     scale = np.float32(view.camera.fu / prepared.camera.fu)
     offset = np.float32(0.5) * scale - np.float32(0.5)
-    seen = cv2.remap(rgb, mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR)
-    return np.asarray(seen if view.gain is None else cv2.LUT(seen, tone_of(view)[None]))
+    levels = cv2.remap(np.asarray(view.image), mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR)
+    seen = rgb_levels(np.asarray(levels, np.uint8))
+    return seen if view.gain is None else np.asarray(cv2.LUT(seen, tone_of(view)[None]), np.uint8)
