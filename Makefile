@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE  # else each process of the tests compiles all 
 PYTEST = $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-long check format bench fuzz bench-ends bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos train pictures pages docs dist clean
+.PHONY: help demo test test-long check format bench fuzz bench-ends bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos train pictures pages docs dist ready clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 17
@@ -77,6 +77,10 @@ dist: $(MADE)  ## wheel and sdist in dist/, checked, installed into an empty env
 	$(BIN)/python -m pip install --quiet --editable '.[release]'
 	rm -rf dist && $(BIN)/python -m build && $(BIN)/twine check --strict dist/*
 	.ci/installed.sh '$(PYTHON)'
+
+ready: $(MADE)  ## dist/ with a wheel that brings its compiled loops, for Linux on x86-64-v3 and this Python
+	$(BIN)/python -m pip install --quiet --editable '.[release]'
+	.ci/ready.sh $(BIN)/python
 
 clean:  ## everything that was made, .venv included
 	rm -rf .venv out dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache docs/settings.md docs/scene-keys.md docs/commands.md

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -188,6 +189,21 @@ def test_a_folder_named_in_the_environment_is_held_to_the_same(
     assert not list(replaced(named).iterdir())
 
 
+def test_a_new_folder_begins_with_the_loops_of_the_package(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    brought = tmp_path / "package" / "loops"
+    (brought / "alight").mkdir(parents=True)
+    (brought / "alight" / "loop.nbc").write_bytes(b"brought")
+    monkeypatch.setattr(loop_cache, "BROUGHT", brought)
+    assert cache_folder("loops") == folder
+    assert not (folder / "alight").exists()  # it was there before
+    new = cache_folder("newer")
+    assert new == folder.parent / "newer"
+    assert (new / "alight" / "loop.nbc").read_bytes() == b"brought"
+    assert new.stat().st_mode & 0o777 == 0o700
+
+
 def test_a_link_is_never_followed(folder: Path, tmp_path: Path) -> None:
     folder.rename(tmp_path / "elsewhere")
     folder.symlink_to(tmp_path / "elsewhere")
@@ -262,14 +278,37 @@ def test_numbers_of_threads_are_mended_before_a_loop_is_compiled(loop: Path) -> 
     assert said.count("=many: not a number from 1 to") == 2
 
 
-def test_compiled_loops_of_another_checkout_do_not_count_as_warm(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The cache depends on place and time of each source: the same text elsewhere is compiled anew."""
+def test_loops_of_other_sources_do_not_count_as_warm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiled, "CACHE", tmp_path)
     compiled.mark_warm()
     assert compiled.is_warm()
-    other = tmp_path / "kernels.py"
-    other.write_text("")
-    monkeypatch.setattr(compiled, "kernel_sources", lambda: iter([other]))
+    monkeypatch.setattr(compiled, "SOURCES", "others")
     assert not compiled.is_warm()
+
+
+ONE_LOOP = """
+import numpy as np
+from alight.compiled import CACHE
+from alight.parallax.view_kernels import normalise
+normalise(np.ones((8, 8), np.float32), 1, 1.0, np.ones((8, 8), np.float32))
+print("loaded" if normalise.stats.cache_hits else "compiled")
+"""
+
+
+def test_loops_are_found_by_the_package_and_the_cache_in_other_places(tmp_path: Path) -> None:
+    """A wheel that brings compiled loops relies on it."""
+
+    def used(place: Path) -> str:
+        env = caching_in(place) | {"PYTHONPATH": str(place)}
+        done = subprocess.run([sys.executable, "-c", ONE_LOOP], env=env, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip()
+
+    here, there = tmp_path / "here", tmp_path / "there"
+    for package in ("alight", "alight_sim"):
+        shutil.copytree(ROOT / "src" / package, here / package)
+    assert used(here) == "compiled"
+    here.rename(there)
+    for file in there.rglob("*.py"):
+        os.utime(file, (1e9, 1e9))
+    assert used(there) == "loaded"

@@ -1,8 +1,11 @@
-"""The package's only import of Numba: cache location, threading layer and the `kernel` decorators.
+"""The package's only import of Numba: cache location, threading layer, processor and the `kernel` decorators.
 
-Numba keys its cache by the time stamp of each file, so a changed helper in another file leaves stale callers. The cache
-folder is therefore named by a hash of all kernel sources: the files `*kernels.py` of the stages, and those of the
-simulator, which come in the same wheel.
+Numba keys its cache by each file alone, so a changed helper in another file leaves stale callers. The cache folder is
+therefore named by a hash of all kernel sources: the files `*kernels.py` of the stages, and those of the simulator,
+which come in the same wheel. Nothing in it depends on where the package or the folder lies.
+
+Loops are compiled for x86-64-v3 on every processor that has it: all such machines compute the same bits, and a wheel
+can bring the loops (`make ready`).
 """
 
 import hashlib
@@ -24,6 +27,7 @@ R = TypeVar("R")
 
 log = logging.getLogger(__name__)
 _DIGEST = hashlib.sha256().digest_size
+V3 = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")  # what x86-64-v3 has beyond older processors
 LONGEST_TURN, _LOOK_AGAIN = 60.0, 0.01  # s: longest wait for another process, time between tries
 
 
@@ -50,19 +54,27 @@ def _sources_digest() -> str:
     return digest.hexdigest()[:16]
 
 
-CACHE = cache_folder(f"kernels-{_sources_digest()}")  # None: loops are kept in memory only
+SOURCES = _sources_digest()
+CACHE = cache_folder(f"kernels-{SOURCES}")  # None: loops are kept in memory only
 if CACHE is not None:
     os.environ[NAMED] = str(CACHE)  # for child processes as well
 mend_threads()
 
 import numba  # noqa: E402  (the environment must be set first)
+from llvmlite.binding import get_host_cpu_features, get_host_cpu_name  # noqa: E402
 from numba.core import event, sigutils  # noqa: E402
-from numba.core.caching import FunctionCache, IndexDataCacheFile  # noqa: E402
+from numba.core.caching import (  # noqa: E402
+    CompileResultCacheImpl,
+    FunctionCache,
+    IndexDataCacheFile,
+    UserProvidedCacheLocator,
+)
 from numba.core.registry import CPUDispatcher  # noqa: E402
 
 # needed if numba was imported before this module: it would cache next to the sources and leave stale callers
 numba.config.CACHE_DIR = str(CACHE or "")
-numba.config.CACHE_LOCATOR_CLASSES = "UserProvidedCacheLocator"  # no fallback to a folder in the package
+if numba.config.CPU_NAME is None and all(get_host_cpu_features().get(f) for f in V3):
+    numba.config.CPU_NAME, numba.config.CPU_FEATURES = "x86-64-v3", ""
 if not numba.config.DISABLE_JIT:
     numba.config.THREADING_LAYER = "omp"  # two Python threads calling parallel kernels abort on `workqueue`
 
@@ -127,9 +139,29 @@ class _Turns(event.Listener):  # type: ignore[misc]
 _turns = _Turns()
 
 
+class _Locator(UserProvidedCacheLocator):  # type: ignore[misc]
+    """Place of a loop in the cache folder, wherever the package lies."""
+
+    @classmethod
+    def get_suitable_cache_subpath(cls, py_file: str) -> str:
+        """Return the folder of a source file relative to the package; for another file, a name of Numba's."""
+        file, packages = Path(py_file).resolve(), Path(__file__).resolve().parents[1]
+        own = file.is_relative_to(packages)
+        return str(file.parent.relative_to(packages)) if own else str(super().get_suitable_cache_subpath(py_file))
+
+    def get_source_stamp(self) -> tuple[str, Any]:
+        """Return the hash of the sources of all loops, and Numba's of the file."""
+        return SOURCES, super().get_source_stamp()
+
+
+class _Found(CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_Locator,)  # no fallback to a folder in the package
+
+
 class _Cache(FunctionCache):  # type: ignore[misc]
     """Compiled forms of one loop on disk; a full or read-only disk slows down later runs but raises nothing."""
 
+    _impl_class = _Found
     _cache_file: Any
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -230,18 +262,18 @@ def compile_form(loop: Any, types: str) -> None:
 
 
 def _mark(folder: Path, use: str) -> Path:
-    """Return the file that marks the loops as compiled; its name depends on the versions and the sources."""
-    about = [use, sys.version, numba.__version__, *(f"{p.resolve()} {p.stat().st_mtime_ns}" for p in kernel_sources())]
-    return folder / f"warm-{hashlib.sha256(repr(about).encode()).hexdigest()[:16]}"
+    """Return the file that marks the loops of `use` as compiled by this Python and Numba, for this processor."""
+    processor = numba.config.CPU_NAME or get_host_cpu_name()
+    return folder / f"warm-{use}-{sys.implementation.cache_tag}-{numba.__version__}-{processor}-{SOURCES}"
 
 
 def is_warm(use: str = "flight") -> bool:
-    """Whether the loops of a kind of run (`loop_forms.Use`) were compiled on this machine, from these sources."""
+    """Whether the loops of a kind of run (`loop_forms.Use`) were compiled for this machine, from these sources."""
     return CACHE is not None and _mark(CACHE, use).exists()
 
 
 def mark_warm(use: str = "flight") -> None:
-    """Record that the loops of a kind of run were compiled on this machine, from these sources."""
+    """Record that the loops of a kind of run were compiled for this machine, from these sources."""
     if CACHE is not None:
         with suppress(OSError):
             _mark(CACHE, use).touch()

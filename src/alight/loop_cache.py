@@ -15,6 +15,7 @@ from pathlib import Path
 
 log = logging.getLogger(__name__)
 
+BROUGHT = Path(__file__).parent / "loops"  # compiled loops of a wheel made by `make ready`
 NAMED = "NUMBA_CACHE_DIR"  # variable that names another folder; child processes inherit it
 COST = "loops are compiled anew by this command, about 4 minutes"
 THREADS = ("NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
@@ -43,7 +44,10 @@ def is_writable(folder: Path) -> bool:
 
 
 def _usual(name: str) -> Path | None:
-    """Return the folder of this name in the user's cache, created if possible; None without a home folder."""
+    """Return the folder of this name in the user's cache; None without a home folder.
+
+    A new folder begins with the loops that the package brings.
+    """
     given = os.environ.get("XDG_CACHE_HOME") or ""
     try:
         root = Path(given) if Path(given).is_absolute() else Path.home() / ".cache"
@@ -51,6 +55,10 @@ def _usual(name: str) -> Path | None:
         return None
     folder = root / "alight" / name
     with suppress(OSError):
+        if BROUGHT.is_dir() and not folder.exists():
+            folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(dir=folder.parent, ignore_cleanup_errors=True) as half:
+                Path(shutil.copytree(BROUGHT, half, dirs_exist_ok=True)).rename(folder)  # whole, or not at all
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if is_private(folder):
             folder.chmod(0o700)
