@@ -267,6 +267,8 @@ def _seen_spots(found: BlockLight | BlockGreen, height: float) -> F32:
         share = gaussian_mean(seen.astype(np.float32), SPOTS[1] * height)
         np.maximum(share, np.float32(1e-3), out=share)
         around = gaussian_mean(measure, SPOTS[1] * height)
-        around /= share
-        np.copyto(measure, around, where=~seen)
-    return difference_of_gaussians(measure, *(s * height for s in SPOTS)) * seen
+        np.copyto(measure, np.divide(around, share, out=around), where=~seen)
+        del share, around
+    out = difference_of_gaussians(measure, *(s * height for s in SPOTS))
+    out *= seen
+    return out
