@@ -77,7 +77,7 @@ class NavUpdate:
         out, k = set[Quantity](), 0
         for z in rows:
             own = slice(k, k := k + len(z.H))
-            if squared_distance(residual[own], S[own, own]) <= self._limits[len(z.H)]:
+            if squared_distance(residual[own], np.ascontiguousarray(S[own, own])) <= self._limits[len(z.H)]:
                 out.add(z.quantity)
         return out
 
