@@ -18,6 +18,7 @@ from alight.parallax import orthophoto_kernels as kernels
 from alight.parallax.views import (
     border_rays,
     ground_sampling,
+    is_grey,
     may_see,
     radius2_limit,
     rolling_of,
@@ -53,6 +54,8 @@ def _block(
 ) -> tuple[F32, F32, F32]:
     """Return, per wanted pixel, the mean colour of the `count` finest views, their number, and the finest pixel, m.
 
+    The colour (R, C, 1) is grey if all views are.
+
     `rays`: directions along the border of each view's picture, world. `height`, `wants`: (R, C) on `grid`, the pixels;
     `wants` becomes False, in place, where no further view is needed. Exposures of the views are matched; a view with
     much coarser pixels than the finest one is not used.
@@ -62,7 +65,8 @@ def _block(
     middle = np.array([xs.mean(), ys.mean(), level])
     away = [np.linalg.norm(v.centre - middle) / v.camera.fu for v in views]
     number, finest, pixels = (np.full(grid.shape, v, np.float32) for v in (0.0, np.inf, np.nan))
-    total, colours = (np.zeros((*grid.shape, 3), t) for t in (np.float32, np.uint8))
+    channels = 1 if all(is_grey(v) for v in views) else 3
+    total, colours = (np.zeros((*grid.shape, channels), t) for t in (np.float32, np.uint8))
     used = np.zeros(grid.shape, np.bool_)
     for view, its_rays in ((views[i], rays[i]) for i in np.argsort(away, kind="stable")):
         box = _window(its_rays, view.centre, grid, low, high)
@@ -86,9 +90,10 @@ def _block(
 
 
 def _without_black(mean: F32) -> U8:
-    """Round colours (R, C, 3) to levels; green is at least 1, because 0 means that there is no picture."""
+    """Round colours (R, C, 1 or 3) to levels; green is at least 1, because 0 means that there is no picture."""
     out = np.rint(mean).clip(0, 255).astype(np.uint8)
-    np.maximum(out, 1, out=out, where=out[..., 1:2] == 0)
+    green = out[..., out.shape[2] // 2]
+    np.maximum(out, 1, out=out, where=(green == 0)[..., None])
     return out
 
 

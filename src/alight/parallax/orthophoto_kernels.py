@@ -17,11 +17,11 @@ def _between(a: np.uint8, b: np.uint8, c: np.uint8, d: np.uint8, fx: np.float32,
 
 @kernel
 def _sample(image: U8, tone: U8, u: np.float32, v: np.float32, out: U8) -> None:
-    """Write the colours (3,) of a picture (H, W, 1 or 3) at column `u` and row `v`, converted by the table `tone`."""
+    """Write the 1 or 3 colours of a picture (H, W, 1 or 3) at column `u` and row `v`, converted by the table `tone`."""
     x, y = int(u), int(v)
     right, down = min(x + 1, image.shape[1] - 1), min(y + 1, image.shape[0] - 1)
     fx, fy, last = u - np.float32(x), v - np.float32(y), image.shape[2] - 1
-    for k in range(3):
+    for k in range(out.size):
         c = min(k, last)
         out[k] = tone[_between(image[y, x, c], image[y, right, c], image[down, x, c], image[down, right, c], fx, fy), k]
 
@@ -78,8 +78,8 @@ def sample_view(
         coarser: largest pixel of a view that is used, in units of the finest pixel.
         wants: (R, C) True where another view is wanted; changed in place.
         finest: (R, C) finest pixel of earlier views, metres.
-        total, number: (R, C, 3), (R, C) sum of the colours, and number, of earlier views.
-        seen, use, pixel: (R, C, 3), (R, C), (R, C) out: colours, True where they are used, metres of ground per pixel.
+        total, number: (R, C, 1 or 3), (R, C) sum of the colours, and number, of earlier views.
+        seen, use, pixel: (R, C, 1 or 3), (R, C), (R, C) out: colours, True where they are used, metres of ground per pixel.
         exposures: (R, `EXPOSURES`) out, sums of each row over the pixels shared with earlier views.
     """
     b32, k32, limit, roll = (
@@ -137,7 +137,7 @@ def sample_view(
             _sample(image, tone, u[i], v[i], seen[r, c])
             if number[r, c] > 0:
                 exposures[r, 0] += 1
-                for k in range(3):
+                for k in range(seen.shape[2]):
                     exposures[r, 1 + k] += total[r, c, k] / number[r, c]
                     exposures[r, 4 + k] += seen[r, c, k]
 
@@ -149,18 +149,18 @@ def add_view(
     """Add a view to the sums, in place; `wants` becomes False where `count` views are reached.
 
     Args:
-        seen: (R, C, 3) colours of the view on the grid.
+        seen: (R, C, 1 or 3) colours of the view on the grid.
         use: (R, C) True where the view is used.
         pixel: (R, C) metres of ground per pixel of the view.
         gain: (3,) factor on the view's colours.
         count: number of views wanted.
-        total, number, finest: (R, C, 3), (R, C), (R, C) sum of the colours, number, and finest pixel (metres) of all
+        total, number, finest: (R, C, 1 or 3), (R, C), (R, C) sum of the colours, number, and finest pixel (metres) of all
             views.
     """
     for r in range(use.shape[0]):
         for c in range(use.shape[1]):
             if use[r, c]:
-                for k in range(3):
+                for k in range(seen.shape[2]):
                     total[r, c, k] += np.float32(seen[r, c, k] * gain[k])
                 number[r, c] += np.float32(1)
                 finest[r, c] = min(finest[r, c], pixel[r, c])

@@ -52,6 +52,12 @@ def tone_of(view: View) -> U8:
     return levels if view.gain is None else np.rint(levels * view.gain).clip(0, 255).astype(np.uint8)
 
 
+def is_grey(view: View) -> bool:
+    """Whether a view has one channel and one gain; photos count as coloured."""
+    image = view.image
+    return isinstance(image, np.ndarray) and image.ndim == 2 and (view.gain is None or bool(np.ptp(view.gain) == 0))
+
+
 @cache
 def border_rays(camera: Camera) -> F64:
     """Return directions (N, 3) in the optical frame, with z = 1, along the border of a camera's picture."""
