@@ -79,7 +79,7 @@ def sample_view(
         wants: (R, C) True where another view is wanted; changed in place.
         finest: (R, C) finest pixel of earlier views, metres.
         total, number: (R, C, 1 or 3), (R, C) sum of the colours, and number, of earlier views.
-        seen, use, pixel: (R, C, 1 or 3), (R, C), (R, C) out: colours, True where they are used, metres of ground per pixel.
+        seen, use, pixel: (R, C, 1 or 3), (R, C), (R, C) out: colours, True where used, metres of ground per pixel.
         exposures: (R, `EXPOSURES`) out, sums of each row over the pixels shared with earlier views.
     """
     b32, k32, limit, roll = (
@@ -154,8 +154,8 @@ def add_view(
         pixel: (R, C) metres of ground per pixel of the view.
         gain: (3,) factor on the view's colours.
         count: number of views wanted.
-        total, number, finest: (R, C, 1 or 3), (R, C), (R, C) sum of the colours, number, and finest pixel (metres) of all
-            views.
+        total, number, finest: (R, C, 1 or 3), (R, C), (R, C) sum of colours, number, and finest pixel (metres) of
+            all views.
     """
     for r in range(use.shape[0]):
         for c in range(use.shape[1]):
