@@ -49,27 +49,32 @@ def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> Box:
     return grid.box_about(np.concatenate([places - around, places + around]))
 
 
+def _inside(one: slice, other: slice) -> slice:
+    """Return the part of `one` within `other`, counted from its start; empty if there is none."""
+    start, stop = (min(max(i, other.start), other.stop) - other.start for i in (one.start, one.stop))
+    return slice(start, stop)
+
+
 def _block(
-    views: Sequence[View], rays: Sequence[F64], grid: Grid, height: F32, wants: Mask, count: int
+    views: Sequence[View], boxes: Sequence[Box], grid: Grid, height: F32, wants: Mask, count: int
 ) -> tuple[F32, F32, F32]:
     """Return, per wanted pixel, the mean colour of the `count` finest views, their number, and the finest pixel, m.
 
     The colour (R, C, 1) is grey if all views are.
 
-    `rays`: directions along the border of each view's picture, world. `height`, `wants`: (R, C) on `grid`, the pixels;
-    `wants` becomes False, in place, where no further view is needed. Exposures of the views are matched; a view with
-    much coarser pixels than the finest one is not used.
+    `boxes`: rows and columns of `grid` that each view's picture may show. `height`, `wants`: (R, C) on `grid`, the
+    pixels; `wants` becomes False, in place, where no further view is needed. Exposures of the views are matched; a view
+    with much coarser pixels than the finest one is not used.
     """
     xs, ys = grid.xy()
-    level, low, high = float(np.median(height)), float(height.min()), float(height.max())
+    level = float(np.median(height))
     middle = np.array([xs.mean(), ys.mean(), level])
     away = [np.linalg.norm(v.centre - middle) / v.camera.fu for v in views]
     number, finest, pixels = (np.full(grid.shape, v, np.float32) for v in (0.0, np.inf, np.nan))
     channels = 1 if all(is_grey(v) for v in views) else 3
     total, colours = (np.zeros((*grid.shape, channels), t) for t in (np.float32, np.uint8))
     used = np.zeros(grid.shape, np.bool_)
-    for view, its_rays in ((views[i], rays[i]) for i in np.argsort(away, kind="stable")):
-        box = _window(its_rays, view.centre, grid, low, high)
+    for view, box in ((views[i], boxes[i]) for i in np.argsort(away, kind="stable")):
         r, c = (slice(o.start + s.start, o.start + s.stop) for o, s in zip(box, box_of(wants[box]), strict=True))
         at, camera, part = (r, c), view.camera, grid.part((r, c))
         if not wants[at].size:
@@ -121,7 +126,9 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, m
     height = np.nan_to_num(nearest_known(elevation.height, ~np.isnan(elevation.height)))
     unseen = (elevation.flags & np.uint16(Flag.UNSEEN)) != 0
     out, sampling = upsample(elevation.rgb, factor), np.maximum(elevation.sampling, np.float32(grid.cell))
-    rays = [border_rays(v.camera) @ v.world_from_cam.rotation.T for v in views]
+    low, high, whole = float(height.min()), float(height.max()), grid.finer(factor)
+    rays = (border_rays(v.camera) @ v.world_from_cam.rotation.T for v in views)
+    boxes = [_window(r, v.centre, whole, low, high) for r, v in zip(rays, views, strict=True)]
     starts = ((r, c) for r in range(0, grid.rows, BLOCK) for c in range(0, grid.cols, BLOCK))
     for rows, cols in (tuple(slice(a, min(a + BLOCK, n)) for a, n in zip(s, grid.shape, strict=True)) for s in starts):
         if not unseen[rows, cols].all():
@@ -130,7 +137,8 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, m
             to = slice(rows.start * factor, rows.stop * factor), slice(cols.start * factor, cols.stop * factor)
             near = may_see(views, fine, float(up.min()), float(up.max()))
             wants = ~upsample(unseen[rows, cols], factor)
-            mean, number, pixel = _block([views[k] for k in near], [rays[k] for k in near], fine, up, wants, count)
+            shown = [(_inside(boxes[k][0], to[0]), _inside(boxes[k][1], to[1])) for k in near]
+            mean, number, pixel = _block([views[k] for k in near], shown, fine, up, wants, count)
             seen = number > 0
             np.copyto(out[to], _without_black(mean), where=seen[..., None])
             middle = (slice(factor // 2, None, factor),) * 2
