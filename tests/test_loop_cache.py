@@ -288,7 +288,6 @@ def test_loops_of_other_sources_do_not_count_as_warm(tmp_path: Path, monkeypatch
 
 ONE_LOOP = """
 import numpy as np
-from alight.compiled import CACHE
 from alight.parallax.view_kernels import normalise
 normalise(np.ones((8, 8), np.float32), 1, 1.0, np.ones((8, 8), np.float32))
 print("loaded" if normalise.stats.cache_hits else "compiled")

@@ -27,7 +27,7 @@ R = TypeVar("R")
 
 log = logging.getLogger(__name__)
 _DIGEST = hashlib.sha256().digest_size
-V3 = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")  # what x86-64-v3 has beyond older processors
+V3 = {"avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"}  # what x86-64-v3 has beyond older processors
 LONGEST_TURN, _LOOK_AGAIN = 60.0, 0.01  # s: longest wait for another process, time between tries
 
 
@@ -73,7 +73,8 @@ from numba.core.registry import CPUDispatcher  # noqa: E402
 
 # needed if numba was imported before this module: it would cache next to the sources and leave stale callers
 numba.config.CACHE_DIR = str(CACHE or "")
-if numba.config.CPU_NAME is None and all(get_host_cpu_features().get(f) for f in V3):
+numba.config.CACHE_LOCATOR_CLASSES = ""  # of the environment: they would be used instead of `_Locator`
+if numba.config.CPU_NAME is None and {name for name, has in get_host_cpu_features().items() if has} >= V3:
     numba.config.CPU_NAME, numba.config.CPU_FEATURES = "x86-64-v3", ""
 if not numba.config.DISABLE_JIT:
     numba.config.THREADING_LAYER = "omp"  # two Python threads calling parallel kernels abort on `workqueue`
@@ -145,9 +146,9 @@ class _Locator(UserProvidedCacheLocator):  # type: ignore[misc]
     @classmethod
     def get_suitable_cache_subpath(cls, py_file: str) -> str:
         """Return the folder of a source file relative to the package; for another file, a name of Numba's."""
-        file, packages = Path(py_file).resolve(), Path(__file__).resolve().parents[1]
-        own = file.is_relative_to(packages)
-        return str(file.parent.relative_to(packages)) if own else str(super().get_suitable_cache_subpath(py_file))
+        folder, packages = Path(py_file).parent, Path(__file__).parents[1]
+        own = folder.is_relative_to(packages)
+        return str(folder.relative_to(packages)) if own else str(super().get_suitable_cache_subpath(py_file))
 
     def get_source_stamp(self) -> tuple[str, Any]:
         """Return the hash of the sources of all loops, and Numba's of the file."""

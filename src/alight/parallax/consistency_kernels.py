@@ -18,12 +18,13 @@ def _pair_row(a: F32, b: F32, m: F32, cut: np.float32, both: F32, own: F32, coun
 
 
 @kernel
-def _texture_row(m: F32, square: F32, count: F32) -> None:
-    for c in range(m.size):
-        known = m[c] == m[c]
-        v = m[c] if known else ZERO
-        square[c] += v * v
+def _sum_row(row: F32, count: F32, total: F32, square: F32) -> None:
+    for c in range(row.size):
+        known = row[c] == row[c]
+        v = row[c] if known else ZERO
         count[c] += ONE if known else ZERO
+        total[c] += v
+        square[c] += v * v
 
 
 @kernel
@@ -47,25 +48,15 @@ def common(samples: F32, pairs: I64, mean: F32, block: int, cut: float, out: F32
     """
     rows, cols = mean.shape
     for k in prange(out.shape[1]):
-        sums = np.zeros((5, cols), np.float32)
+        sums = np.zeros((6, cols), np.float32)  # the last row is not wanted
         for r in range(k * block, min((k + 1) * block, rows)):
             for p in range(pairs.shape[0]):
                 a, b = samples[pairs[p, 0], r], samples[pairs[p, 1], r]
                 _pair_row(a, b, mean[r], np.float32(cut), sums[0], sums[1], sums[2])
-            _texture_row(mean[r], sums[3], sums[4])
+            _sum_row(mean[r], sums[4], sums[5], sums[3])
         for s in range(5):
             out[s, k] = ZERO
             _fold_row(sums[s], block, out[s, k])
-
-
-@kernel
-def _sum_row(row: F32, count: F32, total: F32, square: F32) -> None:
-    for c in range(row.size):
-        known = row[c] == row[c]
-        v = row[c] if known else ZERO
-        count[c] += ONE if known else ZERO
-        total[c] += v
-        square[c] += v * v
 
 
 @kernel
