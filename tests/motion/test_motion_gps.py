@@ -9,12 +9,12 @@ from functools import cache
 import numpy as np
 import pytest
 from motion_scenarios import Sample, led_away, without_fix
-from point_flight import RIG, PointFlight, run, seconds
+from point_flight import RIG, PointFlight, blind, run, seconds
 
 from alight.arrays import F64
 from alight.motion.ekf import filter as filter_module
 from alight.motion.ekf.fixes import FixWatch
-from alight.records import GpsState, Motion, NavSample, Odometry
+from alight.records import GpsState, Motion, NavSample, Odometry, Tracks
 from alight.settings import FilterSettings
 
 BEGIN, END = 8.0, 13.0  # s of the damage
@@ -117,6 +117,15 @@ def test_gps_that_is_led_away() -> None:
     follows = [np.linalg.norm(a.world_from_body.translation - b.world_from_body.translation)
                for a, b in zip(motions, good, strict=True)]  # fmt: skip
     assert max(follows) < 0.25
+
+
+def test_gps_that_is_led_away_while_the_pictures_show_nothing() -> None:
+    """A drift that was found goes on while the lens is covered, for longer than a jump takes to be used again."""
+
+    def covered(e: Sample, t: float) -> Sample:
+        return blind(e) if isinstance(e, Tracks) and 11.0 <= t < 18.0 else led_away(e, t - BEGIN)
+
+    assert set(states(fly(covered), 11.0, 21.0)) == {GpsState.DRIFTS}
 
 
 def test_gps_that_jumps() -> None:

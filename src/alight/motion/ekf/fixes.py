@@ -40,8 +40,15 @@ class FixWatch:
         self._in_row = 0  # positions in a row that contradict the state: outside their gate while used, else inside
         self.forget()
 
+    def on_blind(self, t_ns: int) -> None:
+        """Forget the way flown, as the pictures do not show it; a drift goes on until they show otherwise."""
+        drifts = self.drifts
+        self.forget()
+        if drifts:
+            self._drifted_ns = t_ns
+
     def forget(self) -> None:
-        """Forget the way flown, as the pictures do not support it any more."""
+        """Forget the way flown, and a drift."""
         # s, position less estimate (3), velocity (3), slow variance (3), sums of corrections (6), P of velocity
         self._way = np.empty((0, 25))
         self._moved, self._sped = np.zeros(3), np.zeros(3)  # m, m/s, sums of the corrections by GPS/INS

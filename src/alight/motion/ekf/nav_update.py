@@ -51,7 +51,7 @@ class NavUpdate:
                 off, velocity = position - state.core[AT.pos], state.core[AT.vel]
                 fixes.compare(sample.t_ns, off, velocity, state.P[AT.vel, AT.vel], sigma[Quantity.POSITION.rows])
             else:
-                fixes.forget()
+                fixes.on_blind(sample.t_ns)
             if not fixes.admit(sample.t_ns, passed, self._is_vague(state, sigma)):
                 # a velocity would correct the heading, and with it the whole way since the loss: a jump
                 used -= {Quantity.POSITION} if fixes.aided else {Quantity.POSITION, Quantity.VELOCITY}
