@@ -111,7 +111,8 @@ class Estimator:
         measured = np.array([m.y, m.x]) - position[:2]
         if px4 and self._by_gps:
             self._bias, self._resets = measured, m.reset_counter
-        if abs(then - taken) > 0.2 or self._by_gps or (not px4 and not self.by_odometry):
+        dropped = px4 and t - taken > 1e-3 * self._parameters.get("EKF2_DELAY_MAX", 200.0) + 0.1
+        if dropped or abs(then - taken) > 0.2 or self._by_gps or (not px4 and not self.by_odometry):
             return
         jumped = self._resets != m.reset_counter
         self._bias = np.zeros(2) if jumped else self._bias

@@ -89,6 +89,7 @@ PARAMETERS: Mapping[str, tuple[WantedParameter, ...]] = {  # by name of the firm
         W("EKF2_EV_CTRL", "5", (5, 5), "its position and velocity are fused", needed=True, odometry=True),
         W("EKF2_HGT_REF", "0", (0, 0), "heights are those of the barometer", odometry=True),
         W("EKF2_EV_DELAY", "0", (0, 20), "stamps are converted by TIMESYNC", odometry=True),
+        W("EKF2_DELAY_MAX", "400", (300, 1000), "ms; it drops odometry that comes later", restart=True, odometry=True),
     ),
 }
 
