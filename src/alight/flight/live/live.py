@@ -58,7 +58,7 @@ class LiveOptions:
     listener: Listener = field(default_factory=Listener)
     recorder: Recorder | None = None
     drop: bool = True
-    waiting: int = 2  # exposures that may wait for the navigation lane; in flight three times as many for mapping
+    waiting: int = 1  # exposures that may wait for the navigation lane, a delay each; in flight six times for mapping
     schedule: int | None = 1000  # number of last entries of the schedule that are kept; None: all entries
     folder: Path | None = None  # for tiles that the vehicle has left behind; None: the system's temporary folder
     appearance: terrain.Model | None = None
@@ -88,7 +88,7 @@ class Live:
         drop, waiting = options.drop, options.waiting
         self._batches = Mailbox[FrameBatch](waiting, self._later_batch if drop else None)
         # many exposures are no keyframes, and cost the mapping lane little
-        self._exposures = Mailbox[Navigation](3 * waiting if drop else waiting, self._later_exposure if drop else None)
+        self._exposures = Mailbox[Navigation](6 * waiting if drop else waiting, self._later_exposure if drop else None)
         # newest exposure in a map, the map, and a location that it must show, (2,) metres in its frame
         self._maps = Mailbox[tuple[int, MapSnapshot, F64 | None]](1, (lambda old, new: new) if drop else None)
         self.policy, self._judge_waits = options.policy or FlightPolicy(settings.sites.every), threading.Event()
