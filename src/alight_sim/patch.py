@@ -49,10 +49,10 @@ class GroundPatch:
         """(R, C, 2) look of each cell, and bits about its neighbours (`STEP`, `PLAIN`)."""
         of_class = tables()[1].astype(np.uint8)[self.label]
         looks = of_class if self.look is None else np.where(self.look == 0, of_class, self.look)
-        about = np.where(_is_plain(self.label.astype(np.uint16) + np.uint16(16) * looks), PLAIN, 0)
+        about = np.uint8(PLAIN) * _is_plain(self.label.astype(np.uint16) + np.uint16(16) * looks)
         if self.level == 0:
-            about |= np.where(_is_step(self.height), STEP, 0)
-        return np.stack([looks, about.astype(np.uint8)], axis=-1)
+            about |= np.uint8(STEP) * _is_step(self.height)
+        return np.stack([looks, about], axis=-1)
 
     @cached_property
     def place(self) -> F64:
@@ -86,9 +86,9 @@ def _is_plain(codes: NDArray[np.uint16]) -> Mask:
 def _is_step(height: F32) -> Mask:
     """Return the mask of top left cells of 2 x 2 blocks whose heights differ by `EDGE` or more; all (R, C)."""
     out = np.zeros(height.shape, bool)
-    a, b, c, d = height[1:-2, 1:-2], height[1:-2, 2:-1], height[2:-1, 1:-2], height[2:-1, 2:-1]
-    top, low = np.maximum(np.maximum(a, b), np.maximum(c, d)), np.minimum(np.minimum(a, b), np.minimum(c, d))
-    out[1:-2, 1:-2] = top - low >= np.float32(EDGE)
+    square = np.ones((2, 2), np.uint8)
+    top, low = (extreme(height, square, anchor=(0, 0)) for extreme in (cv2.dilate, cv2.erode))
+    out[1:-2, 1:-2] = (top - low >= np.float32(EDGE))[1:-2, 1:-2]
     return out
 
 

@@ -29,9 +29,11 @@ BLOCK = 8  # cells of a block's side
 
 
 @kernel
-def _fractal_row(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
-    """Add the octaves of one row of positions (C,) to `out` (C,); see `add_fractal`."""
-    cos, sin = 1.0, 0.0
+def _fractal_row(
+    x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, buf: F32, out: F64
+) -> None:  # fmt: skip
+    """Add the octaves of one row of positions (C,) to `out` (C,); see `add_fractal`. `buf` (2 C,): scratch."""
+    cos, sin, count = 1.0, 0.0, out.size
     for k in range(wavelengths.size):
         # wave numbers of the octave's axes: u = a x + b y, v = c x + d y
         a, b = cos / wavelengths[k], -sin / wavelengths[k]
@@ -40,22 +42,26 @@ def _fractal_row(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, s
             a, b, c, d = 1.0 / wavelengths[k], 0.0, 0.0, 0.25 / wavelengths[k]
         u0, v0 = math.floor(a * x[0] + b * y[0]), math.floor(c * x[0] + d * y[0])
         i0, j0, bits, gain = np.int32(u0), np.int32(v0), seed32(seed + 101 * k), amplitudes[k]
+        for m in range(count):  # in single precision apart from the noise, which is vectorised: twice as fast
+            buf[m] = np.float32(a * x[m] + b * y[m] - u0)
+            buf[count + m] = np.float32(c * x[m] + d * y[m] - v0)
+        for m in range(count):
+            buf[m] = noise32(buf[m], buf[count + m], i0, j0, bits)[0]
         if form == ReliefForm.HILLS:
-            for m in range(out.size):
-                u, v = np.float32(a * x[m] + b * y[m] - u0), np.float32(c * x[m] + d * y[m] - v0)
-                out[m] += gain * noise32(u, v, i0, j0, bits)[0]
+            for m in range(count):
+                out[m] += gain * buf[m]
         else:
-            for m in range(out.size):
-                u, v = np.float32(a * x[m] + b * y[m] - u0), np.float32(c * x[m] + d * y[m] - v0)
-                out[m] += 1.9 * gain * (0.7 - abs(noise32(u, v, i0, j0, bits)[0]))
+            for m in range(count):
+                out[m] += 1.9 * gain * (0.7 - abs(buf[m]))
         cos, sin = 0.7986 * cos - 0.6018 * sin, 0.6018 * cos + 0.7986 * sin  # 37 degrees: lattices never line up
 
 
 @kernel
 def add_fractal_here(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
     """Add noise octaves like `add_fractal`, but on the calling thread alone, which is faster for a few positions."""
+    buf = np.empty(2 * out.shape[1], np.float32)
     for r in range(out.shape[0]):
-        _fractal_row(x[r], y[r], wavelengths, amplitudes, form, seed, out[r])
+        _fractal_row(x[r], y[r], wavelengths, amplitudes, form, seed, buf, out[r])
 
 
 @parallel_kernel
@@ -66,7 +72,8 @@ def add_fractal(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, se
     standard deviation of an octave is about its amplitude.
     """
     for r in prange(out.shape[0]):
-        _fractal_row(x[r], y[r], wavelengths, amplitudes, form, seed, out[r])
+        buf = np.empty(2 * out.shape[1], np.float32)
+        _fractal_row(x[r], y[r], wavelengths, amplitudes, form, seed, buf, out[r])
 
 
 @parallel_kernel

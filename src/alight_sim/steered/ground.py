@@ -48,9 +48,16 @@ class GroundBelow:
         self._spans = TrueSpans()  # above these heights
         self.seconds = 0.0  # time of the flight, for the positions of cars and persons
         self._boxes, self._boxes_of = np.empty((0, 12)), (-1, 0.0)  # (M, 12), with their number of bodies and time
+        self._height, self._height_of = 0.0, (0.0, 0.0, -1, 0.0)  # the last height, needed nine times a step
 
     def height(self, east: float, north: float) -> float:
         """Return the height of the surface, including moving objects, metres above the origin."""
+        query = (east, north, len(self._bodies), self.seconds)
+        if query != self._height_of:
+            self._height, self._height_of = self._height_at(east, north), query
+        return self._height
+
+    def _height_at(self, east: float, north: float) -> float:
         self._hold(east, north)
         x = (east - self._place[0]) / self._cell
         y = (north - self._place[1]) / self._cell
