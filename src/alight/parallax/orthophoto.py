@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from alight.arrays import F32, F64, U8, Mask
+from alight.arrays import F32, U8, Mask
 from alight.geometry import Box, Grid, box_of, ground_projection
 from alight.parallax import orthophoto_kernels as kernels
 from alight.parallax.views import (
@@ -83,9 +83,9 @@ def _block(views: Sequence[View], grid: Grid, height: F32, wants: Mask, count: i
     return total, number, finest
 
 
-def _without_black(mean: F32) -> U8:
-    """Round colours (R, C, 1 or 3) to levels; green is at least 1, because 0 means that there is no picture."""
-    out = np.rint(mean).clip(0, 255).astype(np.uint8)
+def _mean(total: F32, number: F32) -> U8:
+    """Return mean colours (R, C, 1 or 3) in levels; green is at least 1, because 0 means that there is no picture."""
+    out = np.rint(total / np.maximum(number, 1)[..., None]).clip(0, 255).astype(np.uint8)
     green = out[..., out.shape[2] // 2]
     np.maximum(out, 1, out=out, where=(green == 0)[..., None])
     return out
@@ -126,8 +126,7 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, m
             total, number, pixel = _block(near, fine, up, wants, count)
             seen = number > 0
             at = box_of(seen)
-            mean = total[at] / np.maximum(number[at], 1)[..., None]
-            np.copyto(out[to][at], _without_black(mean), where=seen[at][..., None])
+            np.copyto(out[to][at], _mean(total[at], number[at]), where=seen[at][..., None])
             middle = (slice(factor // 2, None, factor),) * 2
             np.copyto(sampling[rows, cols], np.maximum(pixel[middle], narrowest), where=seen[middle])
     return out, sampling
