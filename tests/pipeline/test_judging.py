@@ -241,6 +241,22 @@ def test_the_picture_of_a_large_map_is_coarser_and_its_pixels_say_so() -> None:
     np.testing.assert_allclose(wider, np.maximum(sampling, 0.1 / (n / 2)), rtol=1e-6)
 
 
+def test_a_tower_above_the_cameras_leaves_the_picture_of_the_ground_beside_it() -> None:
+    """Each view is looked up only where it may show ground, from the lowest height up to the camera's own."""
+    views = [look((0.3 * k, 0.0, 8.0), k) for k in range(5)]
+    grid = Grid(-4.5, 4.5, 0.1, 90, 90)
+    level = np.full(grid.shape, np.float32(surface(np.array(0.0), np.array(0.0))))
+    tower = level.copy()
+    tower[:10, :10] += 12.0
+    ground = replace(cells(grid.shape, 0.1, 1), grid=grid, rgb=np.zeros((*grid.shape, 3), np.uint8))
+    alone, beside = (orthophoto(views, replace(ground, height=h))[0].astype(int) for h in (level, tower))
+    n = alone.shape[0] // grid.rows
+    alone, beside = alone[12 * n :], beside[12 * n :]
+    assert alone.any(axis=2).mean() > 0.3
+    assert (alone.any(axis=2) == beside.any(axis=2)).mean() > 0.999
+    assert np.abs(alone - beside).mean() < 0.01
+
+
 def test_no_pixel_that_a_camera_saw_is_black() -> None:
     """Black marks missing pixels: half of the ground is painted black, the other half red without any green."""
     views = [look((0.3 * k, 0.0, 8.0), k) for k in range(5)]

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from alight.arrays import F32, F64, U8, Mask
+from alight.arrays import F32, U8, Mask
 from alight.geometry import Box, Grid, box_of, ground_projection
 from alight.parallax import orthophoto_kernels as kernels
 from alight.parallax.views import (
@@ -35,46 +35,35 @@ AROUND = 0.05  # margin for rolling shutter and lens: share of the side of the g
 COARSER = 1.5  # a view is not used if its pixel is larger than the finest view's by this factor
 
 
-def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> Box:
-    """Return rows and columns of `grid` that a picture may show, for ground at heights from `low` to `high`, metres.
-
-    `rays`: (N, 3) directions along the picture's border, world. `centre`: (3,) of the camera.
-    """
-    everything = slice(0, grid.rows), slice(0, grid.cols)
-    if centre[2] <= high or (rays[:, 2] >= 0).any():
-        return everything
-    reach = (np.array([[low], [high]]) - centre[2]) / rays[:, 2]
+def _window(view: View, grid: Grid, low: float, high: float) -> Box:
+    """Return rows and columns of `grid` that a picture may show, for ground at heights from `low` to `high`, metres."""
+    rays, centre = border_rays(view.camera) @ view.world_from_cam.rotation.T, view.centre
+    if (rays[:, 2] >= 0).any():
+        return slice(0, grid.rows), slice(0, grid.cols)
+    reach = np.minimum(np.array([[low], [high]]) - centre[2], 0.0) / rays[:, 2]  # it shows nothing above the camera
     places = centre[:2] + (reach[..., None] * rays[:, :2]).reshape(-1, 2)
     around = AROUND * np.ptp(places, axis=0) + grid.cell
     return grid.box_about(np.concatenate([places - around, places + around]))
 
 
-def _inside(one: slice, other: slice) -> slice:
-    """Return the part of `one` within `other`, counted from its start; empty if there is none."""
-    start, stop = (min(max(i, other.start), other.stop) - other.start for i in (one.start, one.stop))
-    return slice(start, stop)
+def _block(views: Sequence[View], grid: Grid, height: F32, wants: Mask, count: int) -> tuple[F32, F32, F32]:
+    """Return, per wanted pixel, the sum of colours of the `count` finest views, their number, and the finest pixel, m.
 
+    The sum (R, C, 1) is grey if all views are.
 
-def _block(
-    views: Sequence[View], boxes: Sequence[Box], grid: Grid, height: F32, wants: Mask, count: int
-) -> tuple[F32, F32, F32]:
-    """Return, per wanted pixel, the mean colour of the `count` finest views, their number, and the finest pixel, m.
-
-    The colour (R, C, 1) is grey if all views are.
-
-    `boxes`: rows and columns of `grid` that each view's picture may show. `height`, `wants`: (R, C) on `grid`, the
-    pixels; `wants` becomes False, in place, where no further view is needed. Exposures of the views are matched; a view
-    with much coarser pixels than the finest one is not used.
+    `height`, `wants`: (R, C) on `grid`, the pixels; `wants` becomes False, in place, where no further view is needed.
+    Exposures of the views are matched; a view with much coarser pixels than the finest one is not used.
     """
     xs, ys = grid.xy()
-    level = float(np.median(height))
+    level, low, high = (float(of(height)) for of in (np.median, np.min, np.max))
     middle = np.array([xs.mean(), ys.mean(), level])
     away = [np.linalg.norm(v.centre - middle) / v.camera.fu for v in views]
     number, finest, pixels = (np.full(grid.shape, v, np.float32) for v in (0.0, np.inf, np.nan))
     channels = 1 if all(is_grey(v) for v in views) else 3
     total, colours = (np.zeros((*grid.shape, channels), t) for t in (np.float32, np.uint8))
     used = np.zeros(grid.shape, np.bool_)
-    for view, box in ((views[i], boxes[i]) for i in np.argsort(away, kind="stable")):
+    for view in (views[i] for i in np.argsort(away, kind="stable")):
+        box = _window(view, grid, low, high)
         r, c = (slice(o.start + s.start, o.start + s.stop) for o, s in zip(box, box_of(wants[box]), strict=True))
         at, camera, part = (r, c), view.camera, grid.part((r, c))
         if not wants[at].size:
@@ -91,12 +80,12 @@ def _block(
         both, before, now = np.split(exposures.sum(axis=0), (1, 4))
         gain = before / np.maximum(now, both) if both[0] > SAME * wants.size else np.ones(3)
         kernels.add_view(seen, use, pixel, gain, count, total[at], number[at], finest[at], wants[at])
-    return np.asarray(total / np.maximum(number, 1)[..., None], np.float32), number, finest
+    return total, number, finest
 
 
-def _without_black(mean: F32) -> U8:
-    """Round colours (R, C, 1 or 3) to levels; green is at least 1, because 0 means that there is no picture."""
-    out = np.rint(mean).clip(0, 255).astype(np.uint8)
+def _mean(total: F32, number: F32) -> U8:
+    """Return mean colours (R, C, 1 or 3) in levels; green is at least 1, because 0 means that there is no picture."""
+    out = np.rint(total / np.maximum(number, 1)[..., None]).clip(0, 255).astype(np.uint8)
     green = out[..., out.shape[2] // 2]
     np.maximum(out, 1, out=out, where=(green == 0)[..., None])
     return out
@@ -126,21 +115,18 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, m
     height = np.nan_to_num(nearest_known(elevation.height, ~np.isnan(elevation.height)))
     unseen = (elevation.flags & np.uint16(Flag.UNSEEN)) != 0
     out, sampling = upsample(elevation.rgb, factor), np.maximum(elevation.sampling, np.float32(grid.cell))
-    low, high, whole = float(height.min()), float(height.max()), grid.finer(factor)
-    rays = (border_rays(v.camera) @ v.world_from_cam.rotation.T for v in views)
-    boxes = [_window(r, v.centre, whole, low, high) for r, v in zip(rays, views, strict=True)]
     starts = ((r, c) for r in range(0, grid.rows, BLOCK) for c in range(0, grid.cols, BLOCK))
     for rows, cols in (tuple(slice(a, min(a + BLOCK, n)) for a, n in zip(s, grid.shape, strict=True)) for s in starts):
         if not unseen[rows, cols].all():
             fine = grid.part((rows, cols)).finer(factor)
             up = cv2.resize(height[rows, cols], fine.shape[::-1], interpolation=cv2.INTER_LINEAR)
             to = slice(rows.start * factor, rows.stop * factor), slice(cols.start * factor, cols.stop * factor)
-            near = may_see(views, fine, float(up.min()), float(up.max()))
+            near = [views[k] for k in may_see(views, fine, float(up.min()), float(up.max()))]
             wants = ~upsample(unseen[rows, cols], factor)
-            shown = [(_inside(boxes[k][0], to[0]), _inside(boxes[k][1], to[1])) for k in near]
-            mean, number, pixel = _block([views[k] for k in near], shown, fine, up, wants, count)
+            total, number, pixel = _block(near, fine, up, wants, count)
             seen = number > 0
-            np.copyto(out[to], _without_black(mean), where=seen[..., None])
+            at = box_of(seen)
+            np.copyto(out[to][at], _mean(total[at], number[at]), where=seen[at][..., None])
             middle = (slice(factor // 2, None, factor),) * 2
             np.copyto(sampling[rows, cols], np.maximum(pixel[middle], narrowest), where=seen[middle])
     return out, sampling

@@ -80,6 +80,21 @@ def test_a_look_is_judged_at_the_end_of_its_leg() -> None:
     assert not any(at[x.t] for x in f.executive.diary.looks)
 
 
+def test_no_verdicts_are_needed_on_the_last_metres() -> None:
+    """Below `abort_height`, 1.5 m, no verdict can end a landing; above it, they are needed all the time."""
+    heights: dict[bool, list[float]] = {True: [], False: []}
+
+    def note(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT:
+            heights[executive.need is not None].append(f.position[2])
+        return now
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), note)
+    assert f.fly() is S.LANDED
+    assert min(heights[True]) > max(heights[False])
+    assert max(heights[False]) == pytest.approx(1.5, abs=0.25)
+
+
 def test_a_place_that_falls_gives_way_to_the_next() -> None:
     ground = Ground({(10.0, 5.0): bad_from_below, (-12.0, 0.0): clearer_from_below})
     f = Flight(ground, Executive(settings()))

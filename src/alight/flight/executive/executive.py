@@ -79,7 +79,12 @@ class Executive:
 
     @property
     def need(self) -> Need | None:
-        """Verdicts needed now; None: no verdicts. Few are needed along a look leg: a look is judged at its end."""
+        """Verdicts needed now; None: none, as in a landing too low to abort: they would have no effect.
+
+        Few are needed along a look leg: a look is judged at its end.
+        """
+        if self._landing is not None and is_too_low_to_abort(self._left, self._keys):
+            return None
         place, crosses = self.target, self._visit is not None and self._visit.crosses
         seconds = JUDGE_EVERY.get(FlightState.APPROACH if crosses else self.state)
         about = None if place is None else np.array([place.east, place.north])
