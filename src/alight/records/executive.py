@@ -98,7 +98,7 @@ class Situation:
     standing: bool = False  # whether the vehicle is on the ground with motors off
     battery: float = 1.0  # remaining share; NaN: no longer reported
     wind: F64 | None = None  # (2,) or (3,) m/s, velocity of the air; None: unknown
-    holds: bool = True  # whether the autopilot has its own position, by its receiver or by sight, and can hold it
+    holds: bool = True  # whether the autopilot can hold its position: by its receiver, or by sight of the ground
     sight: SightQuality | None = None  # of a flight by sight; None: it flies by GPS
     lands: bool = False  # whether the autopilot is in its landing mode
     steers: bool = True  # whether that mode leads to the place, else straight down

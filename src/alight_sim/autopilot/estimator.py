@@ -130,6 +130,7 @@ class Estimator:
     def _is_accepted(self, m: Any) -> bool:
         """Whether frames and quality of a message are those that the autopilot takes."""
         frames = {"ardupilot": mavlink.MAV_FRAME_LOCAL_FRD, "px4": mavlink.MAV_FRAME_LOCAL_NED}
-        least = max(self._parameters.get("VISO_QUAL_MIN", 0.0), self._parameters.get("EKF2_EV_QMIN", 0.0))
+        px4 = self._dialect.firmware == "px4"  # which fuses failed poses too unless it has a least quality
+        least = self._parameters.get("EKF2_EV_QMIN" if px4 else "VISO_QUAL_MIN", 0.0) or (-1.0 if px4 else 0.0)
         right = m.frame_id == frames[self._dialect.firmware] and m.child_frame_id == mavlink.MAV_FRAME_BODY_FRD
         return bool(right and m.quality >= least)

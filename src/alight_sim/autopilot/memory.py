@@ -35,7 +35,7 @@ EXTERNAL_NAVIGATION: Mapping[FirmwareName, Mapping[str, float]] = {
         "EK3_SRC2_VELXY": 6, "EK3_SRC2_POSZ": 1, "EK3_SRC2_VELZ": 0, "EK3_SRC2_YAW": 1,
         "EK3_SRC_OPTIONS": 0,
     },
-    "px4": {"EKF2_EV_CTRL": 5, "EKF2_EV_QMIN": 1, "EKF2_EV_DELAY": 0.0, "EKF2_HGT_REF": 0, "EKF2_DELAY_MAX": 400},
+    "px4": {"EKF2_EV_CTRL": 5, "EKF2_EV_DELAY": 0.0, "EKF2_HGT_REF": 0, "EKF2_DELAY_MAX": 400},
 }  # fmt: skip
 
 

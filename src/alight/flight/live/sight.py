@@ -30,8 +30,8 @@ class SightNavigation:
 
     A constant shift leads from the map frame to the autopilot's local coordinates. It is made anew, and a reset is
     counted, if the pose may have jumped, and where flight by sight begins: from there the autopilot goes on without a
-    jump. While the pictures do not show the motion, as on the ground, the quality is none: the autopilot ignores such
-    poses, but ArduPilot does not arm without any.
+    jump. While the pictures do not show the motion, as on the ground, ArduPilot gets poses of no quality, which it
+    ignores, as it does not arm without any; PX4 would fuse them, and gets none.
 
     Args:
         vehicle: the vehicle that reports.
@@ -92,7 +92,7 @@ class SightNavigation:
             self._last_shift, self._compared_ns = shift, motion.t_ns
         if self.chooses:
             self._choose(motion, sees, now_ns)
-        if self._shift is not None:
+        if self._shift is not None and (sees or self._vehicle.firmware.position_sources):
             pose = ExternalPose(
                 motion.t_ns, here + self._shift, motion.world_from_body.rotation, motion.velocity_world,
                 odometry.angular_velocity_body, odometry.covariance, odometry.quality if sees else 0.0, self._resets,

@@ -180,7 +180,7 @@ class LandingInputs:
             standing=reports.is_down,
             battery=self._battery.share(reports, now_ns * 1e-9),
             wind=self._wind(reports),
-            holds=reports.can_hold,
+            holds=reports.can_hold and (sight is None or sight.sees),
             sight=sight,
             lands=reports.mode is FlightMode.LAND,
             steers=self._vehicle.firmware.takes_targets,
