@@ -154,13 +154,14 @@ def watch_of(
     velocity: Callable[[float], F64],
     late: Callable[[float], float],
     led: Callable[[float], F64] = lambda t: np.zeros(3),
+    sigma: float = 0.5,
 ) -> list[tuple[float, GpsState]]:
-    """Times and states of a watch of positions 10 times a second, of sigma 0.5 m, that are late or led away."""
+    """Times and states of a watch of positions 10 times a second, of a sigma in metres, that are late or led away."""
     watch, out = FixWatch(FilterSettings()), list[tuple[float, GpsState]]()
     for k in range(200):
         t = 0.1 * k
         v = velocity(t)
-        watch.compare(k * 100_000_000, led(t) - late(t) * v, v, np.eye(3) * 1e-4, np.full(3, 0.5))
+        watch.compare(k * 100_000_000, led(t) - late(t) * v, v, np.eye(3) * 1e-4, np.full(3, sigma))
         watch.admit(k * 100_000_000, True, False)
         out.append((t, watch.state))
     return out
@@ -197,3 +198,15 @@ def test_a_drift_is_found_along_and_across_the_flight(
     states = watch_of(velocity, lambda t: rng.uniform(0.0, latest), lambda t: way * max(t - 9.0, 0.0))
     found = next(t for t, state in states if state is GpsState.DRIFTS)
     assert 9.0 < found < 14.0
+
+
+def test_a_drift_that_was_found_is_not_lost_in_turns() -> None:
+    """While the velocity changes, positions of any age could look so; half of the drift that was found is left."""
+
+    def turns(t: float) -> F64:
+        return np.array([6.0 * np.sin(t - 9.0), 0.0, 0.0]) if t > 9.0 else np.zeros(3)
+
+    states = watch_of(turns, lambda t: 0.0, lambda t: np.array([max(t - 2.0, 0.0), 0.0, 0.0]), sigma=1.5)
+    found = next(t for t, state in states if state is GpsState.DRIFTS)
+    assert found < 9.0
+    assert {state for t, state in states if t >= found} == {GpsState.DRIFTS}

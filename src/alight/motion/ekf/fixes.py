@@ -34,7 +34,7 @@ class FixWatch:
 
     def restart(self, t_ns: int) -> None:
         """Begin anew, with the filter, at a position that it starts from."""
-        self.state, self._speed = GpsState.USED, 0.0
+        self.state, self._drift = GpsState.USED, np.zeros(3)  # m/s, of the positions against the pictures
         self._fix_ns = self._used_ns = t_ns
         self._interval = 0.0  # s between the last two positions
         self._in_row = 0  # positions in a row that contradict the state: outside their gate while used, else inside
@@ -52,7 +52,7 @@ class FixWatch:
         # s, position less estimate (3), velocity (3), slow variance (3), sums of corrections (6), P of velocity
         self._way = np.empty((0, 25))
         self._moved, self._sped = np.zeros(3), np.zeros(3)  # m, m/s, sums of the corrections by GPS/INS
-        self._drifted_ns = NEVER_NS
+        self._drifted_ns, self._lasts = NEVER_NS, False  # the last time of a drift; whether half of it is left
 
     @property
     def aided(self) -> bool:
@@ -68,7 +68,7 @@ class FixWatch:
     def why(self) -> str:
         """Reason why positions are not USED; empty: they are."""
         if self.drifts:
-            return f"GPS drifts against the pictures at {self._speed:.1f} m/s"
+            return f"GPS drifts against the pictures at {np.linalg.norm(self._drift):.1f} m/s"
         return _WHY.get(self.state, "")
 
     def unaided(self, t_ns: int) -> float:
@@ -116,8 +116,9 @@ class FixWatch:
         distance = (mean @ np.linalg.solve(S_mean, mean.swapaxes(1, 2)))[:, 0, 0]
         steady = ((aided - 0.5 * mean) * mean).sum(axis=2).min(axis=1) > 0.0
         if found := np.flatnonzero((distance > self._limit) & steady).tolist():
-            self._drifted_ns = t_ns
-            self._speed = float(np.linalg.norm(mean[found[-1]]) / seconds[found[-1]].mean())
+            self._drifted_ns, self._drift = t_ns, mean[found[-1], 0] / seconds[found[-1]].mean()
+        rate = mean[-1, 0] / seconds[-1].mean()
+        self._lasts = self.drifts and bool((rate - 0.5 * self._drift) @ self._drift > 0.0)
 
     def corrected(self, by_position: F64, by_velocity: F64) -> None:
         """Note by how much a row of GPS/INS corrected position (3,) and velocity (3,): the pictures did not show it."""
@@ -132,7 +133,7 @@ class FixWatch:
         """
         self._interval = max((t_ns - self._fix_ns) * 1e-9, 0.0) if self._fix_ns != NEVER_NS else 0.0
         self._fix_ns = t_ns
-        if self._drifted_ns != NEVER_NS and (t_ns - self._drifted_ns) * 1e-9 <= MAX_GPS_REJECTION:
+        if self._lasts or (self._drifted_ns != NEVER_NS and (t_ns - self._drifted_ns) * 1e-9 <= MAX_GPS_REJECTION):
             self.state, self._in_row = GpsState.DRIFTS, 0
             return False
         self._in_row = self._in_row + 1 if passed is not self.aided else 0
