@@ -56,6 +56,7 @@ def test_gps_lost_high_up_is_held_until_it_is_back(dialect: str) -> None:
     r.motion_state = MotionState.DEGRADED
     assert r.fly(S.HOLD, 5.0)
     r.motion_state = MotionState.GOOD
+    assert r.run(2.0, lambda: r.doing is Doing.HOLD)  # PX4 is guided until it has changed its mode
     t = r.t
     r.run(5.0)
     assert r.doing is Doing.HOLD
