@@ -34,7 +34,8 @@ class Estimator:
     """
 
     def __init__(self, dialect: Dialect, estimate: Estimate, parameters: Mapping[str, float]) -> None:
-        self._dialect, self._estimate, self._parameters = dialect, estimate, parameters
+        self._dialect, self._px4 = dialect, dialect.firmware == "px4"
+        self._estimate, self._parameters = estimate, parameters
         self.by_odometry = False  # whether it uses the set of sources of external navigation, as ArduPilot has it
         self._error, self._velocity_error = estimate.now.position, estimate.now.velocity
         self._bias = np.zeros(2)  # metres, of external positions, as PX4 learns it while it has GPS
@@ -70,7 +71,7 @@ class Estimator:
 
     def select(self, number: float) -> bool:
         """Select a set of sources, as MAV_CMD_SET_EKF_SOURCE_SET does; return false if there is none."""
-        if self._dialect.firmware == "px4" or number not in (1.0, 2.0):
+        if self._px4 or number not in (1.0, 2.0):
             return False
         self.by_odometry, self._resets = number == 2.0, None
         return True
@@ -87,7 +88,7 @@ class Estimator:
 
     def on_timesync(self, requested: float, sender: float, t: float) -> None:
         """Process an answer to TIMESYNC at `t`: own clock at the request, and the sender's clock, s."""
-        if self._dialect.firmware == "px4":
+        if self._px4:
             self._offset = 0.5 * (requested + t) - sender
 
     def _taken(self, stamp: float, t: float) -> float:
@@ -96,7 +97,7 @@ class Estimator:
         PX4 converts it by its own TIMESYNC; without, it takes the arrival. ArduPilot takes the least delay so far for
         none. Both correct that by a parameter.
         """
-        if self._dialect.firmware == "px4":
+        if self._px4:
             known = t if self._offset is None else stamp + self._offset
             return known - 1e-3 * self._parameters.get("EKF2_EV_DELAY", 0.0)
         self._offset = min(t - stamp, math.inf if self._offset is None else self._offset)
@@ -106,13 +107,13 @@ class Estimator:
         """Fuse an ODOMETRY message that has come at `t`, if it is used."""
         if not self.takes_odometry or not self._is_accepted(m) or not self._past:
             return
-        px4, taken = self._dialect.firmware == "px4", self._taken(m.time_usec * 1e-6, t)
+        taken = self._taken(m.time_usec * 1e-6, t)
         then, position, velocity = min(self._past, key=lambda past: abs(past[0] - taken))
         measured = np.array([m.y, m.x]) - position[:2]
-        if px4 and self._by_gps:
+        if self._px4 and self._by_gps:
             self._bias, self._resets = measured, m.reset_counter
-        dropped = px4 and t - taken > 1e-3 * self._parameters.get("EKF2_DELAY_MAX", 200.0) + 0.1
-        if dropped or abs(then - taken) > 0.2 or self._by_gps or (not px4 and not self.by_odometry):
+        dropped = self._px4 and t - taken > 1e-3 * self._parameters.get("EKF2_DELAY_MAX", 200.0) + 0.1
+        if dropped or abs(then - taken) > 0.2 or self._by_gps or not (self._px4 or self.by_odometry):
             return
         jumped = self._resets != m.reset_counter
         self._bias = np.zeros(2) if jumped else self._bias
@@ -128,9 +129,9 @@ class Estimator:
         self._resets, self._fused_at = m.reset_counter, t
 
     def _is_accepted(self, m: Any) -> bool:
-        """Whether frames and quality of a message are those that the autopilot takes."""
-        frames = {"ardupilot": mavlink.MAV_FRAME_LOCAL_FRD, "px4": mavlink.MAV_FRAME_LOCAL_NED}
-        px4 = self._dialect.firmware == "px4"  # which fuses failed poses too unless it has a least quality
-        least = self._parameters.get("EKF2_EV_QMIN" if px4 else "VISO_QUAL_MIN", 0.0) or (-1.0 if px4 else 0.0)
-        right = m.frame_id == frames[self._dialect.firmware] and m.child_frame_id == mavlink.MAV_FRAME_BODY_FRD
+        """Whether it takes the frames and the quality; PX4 takes failed poses too unless it has a least quality."""
+        frame = mavlink.MAV_FRAME_LOCAL_NED if self._px4 else mavlink.MAV_FRAME_LOCAL_FRD
+        given = self._parameters.get("EKF2_EV_QMIN" if self._px4 else "VISO_QUAL_MIN", 0.0)
+        least = -1.0 if self._px4 and not given else given
+        right = m.frame_id == frame and m.child_frame_id == mavlink.MAV_FRAME_BODY_FRD
         return bool(right and m.quality >= least)

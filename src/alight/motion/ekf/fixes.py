@@ -42,9 +42,8 @@ class FixWatch:
 
     def on_blind(self, t_ns: int) -> None:
         """Forget the way flown, as the pictures do not show it; a drift goes on until they show otherwise."""
-        drifts = self.drifts
         self.forget()
-        if drifts:
+        if self.drifts:
             self._drifted_ns = t_ns
 
     def forget(self) -> None:
@@ -133,7 +132,7 @@ class FixWatch:
         """
         self._interval = max((t_ns - self._fix_ns) * 1e-9, 0.0) if self._fix_ns != NEVER_NS else 0.0
         self._fix_ns = t_ns
-        if self._lasts or (self._drifted_ns != NEVER_NS and (t_ns - self._drifted_ns) * 1e-9 <= MAX_GPS_REJECTION):
+        if self._lasts or (t_ns - self._drifted_ns) * 1e-9 <= MAX_GPS_REJECTION:
             self.state, self._in_row = GpsState.DRIFTS, 0
             return False
         self._in_row = self._in_row + 1 if passed is not self.aided else 0
